@@ -1,0 +1,37 @@
+# `make demo` and `make test` do all their own set-up in .venv; only Python 3.11 or newer is needed.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint clean databases
+
+demo: $(VENV)/.installed
+	$(BIN)/spreadlets demo -o demo_output
+
+test: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m interpreted
+
+# The commands that regenerate the databases in psf_db/.
+databases: $(VENV)/.installed
+	$(BIN)/spreadlets build simplelens -o psf_db/simplelens.h5 --max-coc 128
+	$(BIN)/spreadlets build combined -o psf_db/combined.h5 --max-coc 128 --max-motion 128
+
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) demo_output build dist

@@ -1,0 +1,1 @@
+"""Offline: PSF model -> cells -> light-traced PSF -> spreadlet -> database."""

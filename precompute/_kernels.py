@@ -1,0 +1,129 @@
+"""Compiled loops of the classic sparsification stages: dart throwing, Voronoi assignment, incremental solving."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, fastmath=False)
+def throw_darts(cumulative, radius, uniform, max_failures, accepted):
+    """Place pixels drawn by importance, refusing those nearer to a placed one than their own radius.
+
+    Parameters
+    ----------
+    cumulative : ndarray of shape (H * W,), float64
+        Running sum of the pixels' importance, last entry 1.
+    radius : ndarray of shape (H, W), float64
+        Smallest distance of a pixel to all earlier points, px.
+    uniform : ndarray of shape (N,), float64
+        Uniform variates in [0, 1), one for each attempt.
+    max_failures : int
+        Number of refused attempts after which to stop.
+    accepted : ndarray of shape (H * W, 2), int64
+        Receives the placed (row, column) pairs.
+
+    Returns
+    -------
+    n_accepted, n_failures : int
+        Both counted within this batch of attempts.
+    """
+    height, width = radius.shape
+    taken = np.zeros((height, width), dtype=np.bool_)
+    n_accepted = 0
+    n_failures = 0
+    for attempt in range(uniform.size):
+        if n_failures >= max_failures:
+            break
+        pixel = min(np.searchsorted(cumulative, uniform[attempt], side="right"), height * width - 1)
+        row = pixel // width
+        column = pixel % width
+        reach = radius[row, column]
+        whole = int(math.floor(reach))
+        free = True
+        for r in range(max(0, row - whole), min(height, row + whole + 1)):
+            for c in range(max(0, column - whole), min(width, column + whole + 1)):
+                if taken[r, c] and (r - row) ** 2 + (c - column) ** 2 <= reach * reach:
+                    free = False
+                    break
+            if not free:
+                break
+        if free:
+            taken[row, column] = True
+            accepted[n_accepted, 0] = row
+            accepted[n_accepted, 1] = column
+            n_accepted += 1
+        else:
+            n_failures += 1
+    return n_accepted, n_failures
+
+
+@njit(cache=True, fastmath=False)
+def nearest_points(pixel_rc, point_rc, owner):
+    """Find for each pixel its nearest point (the first in order of row among equals).
+
+    The points are sorted by row, so the search walks outwards from the pixel's row and stops when the row distance
+    alone exceeds the best distance.
+
+    Parameters
+    ----------
+    pixel_rc : ndarray of shape (P, 2), float64
+        Pixels.
+    point_rc : ndarray of shape (n, 2), float64
+        Points in ascending order of row.
+    owner : ndarray of shape (P,), int64
+        Receives the index of each pixel's point.
+    """
+    n_points = point_rc.shape[0]
+    for i in range(pixel_rc.shape[0]):
+        row = pixel_rc[i, 0]
+        column = pixel_rc[i, 1]
+        above = np.searchsorted(point_rc[:, 0], row)
+        below = above - 1
+        best = np.inf
+        chosen = 0
+        while True:
+            gap_above = (point_rc[above, 0] - row) ** 2 if above < n_points else np.inf
+            gap_below = (point_rc[below, 0] - row) ** 2 if below >= 0 else np.inf
+            if min(gap_above, gap_below) > best or (above >= n_points and below < 0):
+                break
+            if gap_below <= gap_above:
+                j = below
+                below -= 1
+                gap = gap_below
+            else:
+                j = above
+                above += 1
+                gap = gap_above
+            distance = gap + (point_rc[j, 1] - column) ** 2
+            if distance < best or (distance == best and j < chosen):
+                best = distance
+                chosen = j
+        owner[i] = chosen
+
+
+@njit(cache=True, fastmath=True)
+def add_green(image, quarter, point_rc, change):
+    """Add the free-space solution of some points to an image, in place.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, C), float64
+        The solution to update.
+    quarter : ndarray of shape (R, R), float64
+        Lattice Green's function by absolute row and column distance; R at least max(H, W).
+    point_rc : ndarray of shape (n, 2), int64
+        Points inside the image.
+    change : ndarray of shape (n, C), float64
+        Values to add at the points.
+    """
+    height, width, n_channels = image.shape
+    for j in range(point_rc.shape[0]):
+        for r in range(height):
+            line = quarter[abs(r - point_rc[j, 0])]
+            for c in range(width):
+                green = line[abs(c - point_rc[j, 1])]
+                for k in range(n_channels):
+                    image[r, c, k] += green * change[j, k]

@@ -1,0 +1,121 @@
+"""Numba kernels of the light tracer: the point sequence and the exact deposit of line segments."""
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+CHUNK = 1 << 16
+"""Points made at a time: bounds the memory that a trace needs (a few MB), large enough to hide NumPy's call cost."""
+
+
+@numba.njit(cache=True, fastmath=False)
+def kronecker(first: int, total: int, shift: FloatArray, alpha: FloatArray) -> FloatArray:
+    """Fill rows with points ``first, first + 1, ...`` of a shifted Hammersley-Kronecker set of ``total`` points.
+
+    Parameters
+    ----------
+    first, total : int
+        The rows are points ``first`` up to, but excluding, ``first + n``, n as many as `CHUNK` or as are left.
+    shift : float64 array of shape (d,)
+        Cranley-Patterson rotation in [0, 1).
+    alpha : float64 array of shape (d - 1,)
+        Generators of the irrational rotation.
+
+    Returns
+    -------
+    float64 array of shape (n, d)
+        Column 0 is ``(i + shift) / total``; column j is ``frac(shift_j + i alpha_j)``.
+    """
+    n = min(total - first, CHUNK)
+    points = np.empty((n, len(shift)), dtype=np.float64)
+    for row in range(n):
+        i = first + row
+        points[row, 0] = (i + shift[0]) / total
+        for j in range(1, len(shift)):
+            value = shift[j] + i * alpha[j - 1]
+            points[row, j] = value - math.floor(value)
+    return points
+
+
+@numba.njit(cache=True, fastmath=False)
+def deposit_segment(i: int, ends: FloatArray, start: FloatArray, stop: FloatArray, image: FloatArray) -> None:
+    """Add segment i to ``image``: each pixel gets the energy of the part of the segment that lies in it.
+
+    Parameters
+    ----------
+    i : int
+        Row of the next three arrays. Views of a row would cost more, in reference counts, than the deposit.
+    ends : float64 array of shape (n, 4)
+        x0, y0, x1, y1 in px from the centre of the image's central pixel; a pixel owns the half-open square of side
+        1 about its centre.
+    start, stop : float64 arrays of shape (n, C)
+        Energy density per unit of the segment's parameter t in [0, 1] at its two ends, linear between them; the
+        segment's energy is their mean.
+    image : float64 array of shape (H, W, C)
+        H and W odd; the segment must lie inside.
+
+    Notes
+    -----
+    Amanatides and Woo 1987, "A fast voxel traversal algorithm for ray tracing". The number of steps is known from
+    the end pixels, so rounding cannot lead the traversal out of the image. A segment of no length is a point.
+    ``fastmath`` would break the infinite step of an axis-parallel segment.
+    """
+    x0, y0 = ends[i, 0] + 0.5 + image.shape[1] // 2, ends[i, 1] + 0.5 + image.shape[0] // 2
+    x1, y1 = ends[i, 2] + 0.5 + image.shape[1] // 2, ends[i, 3] + 0.5 + image.shape[0] // 2
+    dx, dy = x1 - x0, y1 - y0
+    col, row = math.floor(x0), math.floor(y0)
+    left_x, left_y = abs(math.floor(x1) - col), abs(math.floor(y1) - row)
+    step_col, step_row = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    # The parameter at which the segment crosses its next column and row border, and the distance between borders.
+    next_x, next_y = math.inf, math.inf
+    delta_x, delta_y = math.inf, math.inf
+    if left_x > 0:
+        delta_x = abs(1.0 / dx)
+        next_x = (col + (step_col > 0) - x0) / dx
+    if left_y > 0:
+        delta_y = abs(1.0 / dy)
+        next_y = (row + (step_row > 0) - y0) / dy
+    t = 0.0
+    for _ in range(left_x + left_y):
+        # An axis whose crossings are used up must not step again, however its last crossing rounds.
+        along_row = left_y == 0 or (left_x > 0 and next_x < next_y)
+        until = min(max(next_x if along_row else next_y, t), 1.0)
+        middle = 0.5 * (t + until)
+        for channel in range(image.shape[2]):
+            density = start[i, channel] + (stop[i, channel] - start[i, channel]) * middle
+            image[row, col, channel] += (until - t) * density
+        t = until
+        if along_row:
+            col += step_col
+            next_x += delta_x
+            left_x -= 1
+        else:
+            row += step_row
+            next_y += delta_y
+            left_y -= 1
+    middle = 0.5 * (t + 1.0)
+    for channel in range(image.shape[2]):
+        density = start[i, channel] + (stop[i, channel] - start[i, channel]) * middle
+        image[row, col, channel] += (1.0 - t) * density
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def deposit_segments(ends: FloatArray, start: FloatArray, stop: FloatArray, images: FloatArray) -> None:
+    """Add segments to a stack of images, a contiguous share to each, so that no two threads meet in one image.
+
+    Parameters
+    ----------
+    ends : float64 array of shape (n, 4)
+    start, stop : float64 arrays of shape (n, C)
+    images : float64 array of shape (n_blocks, H, W, C)
+        H and W odd. The shares depend on n_blocks alone, so the result is the same for any number of threads.
+    """
+    n_blocks = images.shape[0]
+    n = ends.shape[0]
+    for block in numba.prange(n_blocks):
+        for i in range(n * block // n_blocks, n * (block + 1) // n_blocks):
+            deposit_segment(i, ends, start, stop, images[block])

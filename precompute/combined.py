@@ -1,0 +1,33 @@
+"""Rays of the ``combined`` model: a thin lens and straight motion of constant speed (LKS section 5.1)."""
+
+import numpy as np
+import numpy.typing as npt
+
+from precompute.line_sample import Segments, lens_chords, tent
+
+N_DIMENSIONS = 4
+"""Place of the chord, circle of confusion, length of the motion, its direction."""
+
+
+def trace(
+    points: npt.NDArray[np.float64], box: npt.NDArray[np.float64], direction: float, direction_half_width: float
+) -> Segments:
+    """Turn points of the unit cube into chords of the lens, each moving over the shutter.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, N_DIMENSIONS), float64
+    box : ndarray of shape (2, 2), float64
+        Ranges of the circle of confusion's radius and of the path's length, px.
+    direction, direction_half_width : float
+        Middle and half-width of the tent over the motion's direction, radians, y down.
+    """
+    radius = tent(points[:, 1], *box[0])
+    half_path = 0.5 * tent(points[:, 2], *box[1])
+    angle = tent(points[:, 3], direction - direction_half_width, direction + direction_half_width)
+    return lens_chords(points[:, 0], radius, half_path, angle)
+
+
+def reach(box: npt.NDArray[np.float64]) -> float:
+    """Return the largest distance from the centre that a ray can have, px: the path's centre is at mid-shutter."""
+    return float(box[0, 1] + 0.5 * box[1, 1])

@@ -1,0 +1,1 @@
+"""Online: frame + database -> image (plan -> splat -> integrate -> composite)."""

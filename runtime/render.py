@@ -1,0 +1,159 @@
+"""The four steps in order: plan, splat, integrate, composite; each timed."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numba.core.event
+import numpy as np
+import numpy.typing as npt
+
+from runtime.composite import over, reweight
+from runtime.convolution_pyramid import integrate
+from runtime.plan import DensePsf, Plan, label_pixels, plan_layer
+from runtime.splat import splat
+from spreadlets.camera import ThinLens
+from spreadlets.database import Database
+from spreadlets.frame import Frame, Layer
+
+DEFAULT_INTEGRATOR = "exact"
+SOLVER_MARGIN = 8
+"""Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
+
+Image = npt.NDArray[np.float32]
+
+
+class Clock:
+    """Wall time of each named step, seconds, and the share of it spent in compiling."""
+
+    def __init__(self) -> None:
+        self.time_s: dict[str, float] = {}
+        self.compile_s = 0.0
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Add the time of the enclosed block to a step; compilation is counted apart."""
+        begin = time.perf_counter()
+        recorder = numba.core.event.RecordingListener()  # type: ignore[no-untyped-call]
+        with numba.core.event.install_listener("numba:compile", recorder):
+            yield
+        compiled = _compile_time(recorder)
+        self.compile_s += compiled
+        elapsed = time.perf_counter() - begin - compiled
+        self.time_s[name] = self.time_s.get(name, 0.0) + elapsed
+
+
+def _compile_time(recorder: Any) -> float:
+    """Sum the outermost compile events of a recorder, seconds."""
+    total, depth, begin = 0.0, 0, 0.0
+    for stamp, event in recorder.buffer:
+        if event.is_start:
+            begin = stamp if depth == 0 else begin
+            depth += 1
+        else:
+            depth -= 1
+            total += stamp - begin if depth == 0 else 0.0
+    return total
+
+
+def synthesize(
+    frame: Frame,
+    camera: ThinLens,
+    database: Database,
+    *,
+    defocus: bool = True,
+    motion: bool = True,
+    integrator: str = DEFAULT_INTEGRATOR,
+    dense_psf: DensePsf | None = None,
+    clock: Clock | None = None,
+) -> tuple[Image, dict[str, Any]]:
+    """Blur a frame as the camera's lens and shutter would have.
+
+    Parameters
+    ----------
+    frame : Frame
+        One or more layers of labelled pixels, nearest first.
+    camera : ThinLens
+        Lens and shutter.
+    database : Database
+        Spreadlets of the PSF model to use.
+    defocus, motion : bool
+        Whether to apply each effect.
+    integrator : str
+        Poisson solver, see `runtime.convolution_pyramid.integrate`.
+    dense_psf : callable or None
+        If given, PSFs are drawn in full from it: method ``dense``.
+    clock : Clock or None
+        Where the steps' times are added.
+
+    Returns
+    -------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied, linear.
+    report : dict
+        ``plan`` (what was drawn and what was left out), ``time_s``, ``compile_s`` and ``peak_rss_mb``.
+
+    Notes
+    -----
+    LKS section 6.
+    """
+    clock = clock or Clock()
+    composite: Image | None = None
+    plans = []
+    for layer in frame.layers:
+        with clock.step("plan"):
+            labels = label_pixels(layer, camera, defocus=defocus, motion=motion)
+            plan = plan_layer(layer, labels, database, dense_psf)
+        image = _render_layer(layer, plan, integrator, clock)
+        with clock.step("composite"):
+            composite = image if composite is None else over(composite, image)
+        plans.append(plan)
+    assert composite is not None, "a frame has at least one layer"
+    return composite, _report(plans, database, clock)
+
+
+def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Image:
+    """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight."""
+    height, width = layer.depth.shape
+    padding = plan.padding + SOLVER_MARGIN
+    shape = (height + 2 * padding, width + 2 * padding, 4)
+    padded = np.zeros(shape, np.float32)
+    if not plan.table.direct.all():
+        with clock.step("splat"):
+            for source in plan.passes:
+                splat(padded, source, plan.table, padding, ~plan.table.direct)
+        with clock.step("integrate"):
+            padded = integrate(padded, integrator)
+    if plan.table.direct.any():
+        with clock.step("splat"):
+            for source in plan.passes:
+                splat(padded, source, plan.table, padding, plan.table.direct)
+    with clock.step("composite"):
+        return reweight(padded, layer.radiance, padding)
+
+
+def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, Any]:
+    """Gather the plans' figures under the names of the command line's JSON output."""
+    counts = [plan.counts() for plan in plans]
+    left_out = set.intersection(*(set(plan.left_out) for plan in plans))
+    figures: dict[str, Any] = {name: sum(count[name] for count in counts) for name in counts[0]}
+    figures |= {
+        "layers": len(plans),
+        "cells_used": len(set.union(*(plan.cells_used for plan in plans))),
+        "cells_total": database.n_cells,
+        "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
+        "padding_px": max(plan.padding for plan in plans) + SOLVER_MARGIN,
+        "left_out": [name for name in plans[0].left_out if name in left_out],
+    }
+    steps = ("read", "plan", "splat", "integrate", "composite", "write")
+    time_s = {name: clock.time_s.get(name, 0.0) for name in steps}
+    return {
+        "time_s": time_s | {"total": sum(time_s.values())},
+        "compile_s": clock.compile_s,
+        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "plan": figures,
+    }

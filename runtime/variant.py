@@ -1,0 +1,88 @@
+"""PSF variants: a stored spreadlet turned by the lattice's symmetries and scaled, as a row-sorted list of points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from spreadlets.database import Database
+from spreadlets.spreadlet import Spreadlet
+
+Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
+
+MIN_DENSE_VALUE = 1e-7
+"""Pixels of a dense PSF below this share of its peak are not drawn: under float32's own resolution."""
+
+
+class Variant(NamedTuple):
+    """One PSF as a frame needs it: which stored spreadlet, how turned, and how much larger."""
+
+    cell: int
+    direction: int
+    transpose: bool
+    flip_row: bool
+    flip_col: bool
+    scale: float
+
+
+def variant_points(
+    variant: Variant, database: Database, dense_psf: Callable[[int, int, float], npt.NDArray[np.float64]] | None
+) -> Points:
+    """Return a variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
+    if dense_psf is not None:
+        spreadlet = _dense_points(dense_psf(variant.cell, variant.direction, variant.scale))
+    else:
+        spreadlet = database.cell(variant.cell, variant.direction)
+        if variant.scale != 1.0:
+            spreadlet = scaled(spreadlet, variant.scale)
+    turned = spreadlet.transformed(transpose=variant.transpose, flip_row=variant.flip_row, flip_col=variant.flip_col)
+    order = np.lexsort((turned.offset_rc[:, 1], turned.offset_rc[:, 0]))
+    return turned.offset_rc[order].astype(np.int32), turned.value[order].astype(np.float32), turned.direct
+
+
+def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
+    """Return a spreadlet whose PSF is wider by a factor above 1, of equal energy.
+
+    The Laplacian of ``f(x / s) / s^2`` has its points at ``s x`` with values ``v / s^2``. Rounding the points to pixels
+    upsets the moments that keep the far field clean; the smallest change of the values restores them.
+    """
+    if spreadlet.direct:
+        return _dense_points(_magnified(spreadlet.to_dense(), scale))
+    offset = spreadlet.offset_rc.astype(np.float64) * scale
+    rounded = np.rint(offset)
+    value = spreadlet.value.astype(np.float64) / scale**2
+    target = _moments(offset) @ value
+    moments = _moments(rounded)
+    value += np.linalg.lstsq(moments, target - moments @ value, rcond=None)[0]
+    return Spreadlet(rounded.astype(np.int16), value.astype(np.float32), False)
+
+
+def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the moment matrix of shape (6, n): 1, row, col and the second moments."""
+    row, col = offset.T
+    return np.stack([np.ones_like(row), row, col, row * col, row * row, col * col])
+
+
+def _magnified(psf: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
+    """Resample a centred PSF to a size larger by ``scale``, of equal energy."""
+    half = [int(np.ceil((size // 2 + 1) * scale)) for size in psf.shape[:2]]
+    grid = np.meshgrid(*(np.arange(-extent, extent + 1) / scale for extent in half), indexing="ij")
+    centre = [size // 2 for size in psf.shape[:2]]
+    position = [axis + offset for axis, offset in zip(grid, centre, strict=True)]
+    channels = [ndimage.map_coordinates(psf[..., c], position, order=1) for c in range(psf.shape[2])]
+    magnified: npt.NDArray[np.float64] = np.stack(channels, axis=-1)
+    magnified *= psf.sum() / magnified.sum()
+    return magnified
+
+
+def _dense_points(psf: npt.NDArray[np.float64]) -> Spreadlet:
+    """Turn a centred dense PSF of shape (h, w, C) into direct points."""
+    rows, cols = np.nonzero(psf.max(axis=2) > MIN_DENSE_VALUE * psf.max())
+    value = psf[rows, cols]
+    value *= psf.sum(axis=(0, 1)) / value.sum(axis=0)
+    centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
+    return Spreadlet((np.stack([rows, cols], axis=1) - centre).astype(np.int16), value.astype(np.float32), True)

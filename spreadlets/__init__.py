@@ -1,0 +1,36 @@
+"""Cinematic depth of field and motion blur by splatting sparse Laplacians of point spread functions.
+
+Everything is loaded when it is first used, so that importing the package is fast and compiles nothing.
+"""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from spreadlets import errors as errors
+    from spreadlets import metrics as metrics
+    from spreadlets.api import build_database as build_database
+    from spreadlets.api import synthesize as synthesize
+    from spreadlets.camera import ThinLens as ThinLens
+    from spreadlets.camera import read_camera as read_camera
+    from spreadlets.database import Database as Database
+    from spreadlets.database import open_database as open_database
+    from spreadlets.exr import read_frame as read_frame
+    from spreadlets.exr import read_image as read_image
+    from spreadlets.exr import write_frame as write_frame
+    from spreadlets.exr import write_image as write_image
+    from spreadlets.exr import write_png as write_png
+    from spreadlets.frame import Frame as Frame
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submodules=["errors", "metrics"],
+    submod_attrs={
+        "api": ["build_database", "synthesize"],
+        "camera": ["ThinLens", "read_camera"],
+        "database": ["Database", "open_database"],
+        "exr": ["read_frame", "read_image", "write_frame", "write_image", "write_png"],
+        "frame": ["Frame"],
+    },
+)

@@ -1,0 +1,147 @@
+"""Numba twins of the forward maps, callable from other kernels: coordinate to cell, motion angle to stored direction.
+
+Imports numpy, numba and math only. Nothing here validates: the wrappers in ``grid`` and ``psf_model`` do.
+"""
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+_OCTANT = math.pi / 4.0
+
+
+@numba.njit(cache=True, fastmath=False)
+def triangular_root(value: float) -> int:
+    """Return the largest l with l (l + 1) / 2 <= value, for value >= 0.
+
+    The square root may round across an integer, so one comparison on either side corrects it.
+    """
+    level = int((math.sqrt(8.0 * value + 1.0) - 1.0) * 0.5)
+    if (level + 1) * (level + 2) // 2 <= value:
+        return level + 1
+    if level * (level + 1) // 2 > value:
+        return level - 1
+    return level
+
+
+@numba.njit(cache=True, fastmath=False)
+def cell_index(coordinate: FloatArray, shape: IntArray, level_offset: IntArray) -> int:
+    """Map a coordinate in grid units to its cell in O(1); coordinates outside the space are clamped into it.
+
+    Parameters
+    ----------
+    coordinate : float64 array of shape (n_axes,), or a tuple of floats
+        Grid units, axis i in [0, shape[i]].
+    shape : int64 array of shape (n_axes,)
+    level_offset : int64 array of shape (n_levels,)
+        Number of cells before each level.
+
+    Notes
+    -----
+    LKS section 5.2. Cells of a level in row-major order are the multi-indices k with at least one k_i = 0, so the
+    place of k is its rank among all multi-indices less the number of those before it whose every entry is >= 1.
+    """
+    smallest = math.inf
+    for axis in range(len(shape)):
+        smallest = min(smallest, coordinate[axis])
+    # Written so that NaN, too, lands in a valid level.
+    level = triangular_root(smallest) if smallest > 0.0 else 0
+    level = min(level, len(level_offset) - 1)
+    start = level * (level + 1) // 2
+    edge = level + 1
+    rank = 0
+    inner_before = 0
+    all_inner = True
+    for axis in range(len(shape)):
+        count = (shape[axis] - start + edge - 1) // edge
+        k = 0
+        if coordinate[axis] > start:
+            # Clamp as a float: an infinite coordinate has no integer value.
+            k = int(min((coordinate[axis] - start) / edge, count - 1.0))
+        rank = rank * count + k
+        inner_before = inner_before * (count - 1)
+        if all_inner:
+            inner_before += max(k - 1, 0)
+            all_inner = k >= 1
+    return level_offset[level] + rank - inner_before
+
+
+@numba.njit(cache=True, fastmath=False)
+def grid_coordinate(value: float, maximum: float, inverse_power: float, n_units: int) -> float:
+    """Map a physical coordinate to grid units, ``n_units * (value / maximum) ** inverse_power``, clamped (LKS 5.2)."""
+    fraction = min(value / maximum, 1.0)
+    if not fraction > 0.0:
+        return 0.0
+    return float(n_units * fraction**inverse_power)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def cell_indices(coordinates: FloatArray, shape: IntArray, level_offset: IntArray) -> IntArray:
+    """Apply `cell_index` to each row of ``coordinates`` (n, n_axes)."""
+    out = np.empty(coordinates.shape[0], dtype=np.int64)
+    for row in numba.prange(coordinates.shape[0]):
+        out[row] = cell_index(coordinates[row], shape, level_offset)
+    return out
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def grid_coordinates(coordinates: FloatArray, maximum: FloatArray, power: FloatArray, shape: IntArray) -> FloatArray:
+    """Apply `grid_coordinate` to each entry of ``coordinates`` (n, n_axes), physical units."""
+    out = np.empty(coordinates.shape, dtype=np.float64)
+    for row in numba.prange(coordinates.shape[0]):
+        for axis in range(coordinates.shape[1]):
+            out[row, axis] = grid_coordinate(coordinates[row, axis], maximum[axis], 1.0 / power[axis], shape[axis])
+    return out
+
+
+@numba.njit(cache=True, fastmath=False)
+def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
+    """Fold a motion angle into the octant [0, pi/4] and round it to the nearest of ``n_directions`` nodes.
+
+    Parameters
+    ----------
+    angle : float
+        Radians, ``atan2(dy, dx)``, y down.
+    n_directions : int
+        Equally spaced nodes, first 0, last pi/4; or the single node 0.
+
+    Returns
+    -------
+    index, transpose, flip_row, flip_col
+        Transpose first, then negate. Every direction modulo 180 degrees has exactly one answer, so that neighbouring
+        pixels of nearly equal motion share it: node 0 is never flipped, node pi/4 never transposed.
+    """
+    folded = angle - math.pi * math.floor(angle / math.pi)
+    mirrored = folded > 2.0 * _OCTANT
+    if mirrored:
+        folded = math.pi - folded
+    transpose = folded > _OCTANT
+    if transpose:
+        folded = 2.0 * _OCTANT - folded
+    last = n_directions - 1
+    index = min(max(int(folded / _OCTANT * last + 0.5), 0), last)
+    if index == 0:
+        mirrored = False
+    elif index == last:
+        transpose = False
+    return index, transpose, mirrored and not transpose, mirrored and transpose
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def fold_directions(angles: FloatArray, n_directions: IntArray) -> tuple[IntArray, BoolArray]:
+    """Apply `fold_direction` elementwise; return the indices (n,) and the three flags as columns (n, 3)."""
+    index = np.empty(angles.shape[0], dtype=np.int64)
+    flags = np.empty((angles.shape[0], 3), dtype=np.bool_)
+    for row in numba.prange(angles.shape[0]):
+        node, transpose, flip_row, flip_col = fold_direction(angles[row], n_directions[row])
+        index[row] = node
+        flags[row, 0] = transpose
+        flags[row, 1] = flip_row
+        flags[row, 2] = flip_col
+    return index, flags

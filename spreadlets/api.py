@@ -1,0 +1,152 @@
+"""The public functions that join the two halves: what ``import spreadlets`` offers beside the vocabulary."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.camera import ThinLens
+from spreadlets.database import Database, open_database
+from spreadlets.errors import InvalidParameterError
+from spreadlets.frame import Frame
+
+if TYPE_CHECKING:
+    from runtime.render import Clock
+
+Image = npt.NDArray[np.float32]
+
+METHODS = ("spreadlets", "dense")
+
+
+@overload
+def synthesize(
+    frame: Frame | Sequence[Frame],
+    camera: ThinLens,
+    database: Database | str | None = ...,
+    *,
+    report: Literal[False] = ...,
+    method: str = ...,
+    integrator: str | None = ...,
+    defocus: bool = ...,
+    motion: bool = ...,
+    clock: Clock | None = ...,
+) -> Image: ...
+
+
+@overload
+def synthesize(
+    frame: Frame | Sequence[Frame],
+    camera: ThinLens,
+    database: Database | str | None = ...,
+    *,
+    report: Literal[True],
+    method: str = ...,
+    integrator: str | None = ...,
+    defocus: bool = ...,
+    motion: bool = ...,
+    clock: Clock | None = ...,
+) -> tuple[Image, dict[str, Any]]: ...
+
+
+def synthesize(
+    frame: Frame | Sequence[Frame],
+    camera: ThinLens,
+    database: Database | str | None = None,
+    *,
+    method: str = "spreadlets",
+    integrator: str | None = None,
+    defocus: bool = True,
+    motion: bool = True,
+    report: bool = False,
+    clock: Clock | None = None,
+) -> Image | tuple[Image, dict[str, Any]]:
+    """Put the depth of field and the motion blur of a camera on a rendered frame.
+
+    Parameters
+    ----------
+    frame : Frame or sequence of Frame
+        A pinhole frame, or depth layers, nearest first.
+    camera : ThinLens
+        Lens and shutter.
+    database : Database or str, optional
+        An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
+        ``"simplelens"``.
+    method : {"spreadlets", "dense"}
+        Sparse Laplacian splatting, or the same PSFs drawn in full (the quality ceiling).
+    integrator : str, optional
+        Poisson solver; by default the one that `runtime.render.DEFAULT_INTEGRATOR` names.
+    defocus, motion : bool
+        Whether to apply each effect.
+    report : bool
+        Also return the figures of the run.
+    clock : Clock, optional
+        Adds the times of the steps to those that the caller has already taken.
+
+    Returns
+    -------
+    image : ndarray of shape (H, W, 4), float32
+        Linear, premultiplied.
+    report : dict
+        Only with ``report=True``: ``time_s``, ``compile_s``, ``peak_rss_mb``, ``plan``.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the method or the integrator is unknown.
+    InvalidDatabaseError
+        If the database cannot be used.
+    """
+    from runtime import render
+
+    if method not in METHODS:
+        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(METHODS)}")
+    layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
+    opened = (
+        database if isinstance(database, Database) else open_database(database or _default_database(layered, motion))
+    )
+    try:
+        image, figures = render.synthesize(
+            layered,
+            camera,
+            opened,
+            defocus=defocus,
+            motion=motion,
+            integrator=integrator or render.DEFAULT_INTEGRATOR,
+            dense_psf=_dense_psf(opened) if method == "dense" else None,
+            clock=clock,
+        )
+    finally:
+        if opened is not database:
+            opened.close()
+    return (image, figures) if report else image
+
+
+def build_database(model: str, path: str | os.PathLike[str], **options: Any) -> None:
+    """Build a database; see `precompute.build.build_database` for the options."""
+    from precompute.build import build_database as build
+
+    build(model, path, **options)
+
+
+def _default_database(frame: Frame, motion: bool) -> str:
+    moving = motion and any(layer.motion.any() for layer in frame.layers)
+    return "combined" if moving else "simplelens"
+
+
+def _dense_psf(database: Database) -> Callable[[int, int, float], npt.NDArray[np.float64]]:
+    """Return a function that traces the full PSF of a database's cell, as its build did."""
+    from precompute.light_tracing import trace_psf
+
+    def dense_psf(cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        return trace_psf(
+            database.grid.model,
+            database.grid.box(cell) * scale,
+            direction=float(database.directions(cell)[direction]),
+            direction_half_width=database.grid.direction_half_width(cell),
+        )
+
+    return dense_psf

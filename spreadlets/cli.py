@@ -1,0 +1,235 @@
+"""The ``spreadlets`` command: exits 0 on success, 2 on bad input (one line on standard error), 1 on its own failure."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from spreadlets.errors import SpreadletsError
+
+EXIT_BAD_INPUT = 2
+EXIT_FAILURE = 1
+EXIT_INTERRUPTED = 130
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="spreadlets")
+def cli() -> None:
+    """Depth of field and motion blur for rendered frames, by splatting sparse Laplacians of PSFs.
+
+    Example: spreadlets synth frame.exr -o out.exr --camera camera.json
+    """
+
+
+@cli.command()
+@click.argument("model")
+@click.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help="The database to write (HDF5).")
+@click.option("--samples", type=click.IntRange(min=1), help="Number of cells (default: the model's own).")
+@click.option("--max-coc", type=float, help="Largest CoC radius, px.")
+@click.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
+@click.option("--density", type=click.Choice(["0.5", "1", "2"]), default="1", help="Points, times the usual number.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
+@json_option
+def build(model: str, output: str, density: str, as_json: bool, **options: Any) -> None:
+    """Build a database of spreadlets for a PSF MODEL: simplelens or combined.
+
+    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
+
+    Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+    """
+    from spreadlets.api import build_database
+    from spreadlets.database import open_database
+
+    with _progress(f"building {model}", quiet=as_json) as progress:
+        build_database(model, output, density=float(density), progress=progress, **options)
+    with open_database(output) as database:
+        _print(database.summary(), as_json)
+
+
+@cli.command()
+@click.argument("database", metavar="DB")
+@json_option
+def info(database: str, as_json: bool) -> None:
+    """Show what a database holds and how good it is; DB is a file or a shipped name.
+
+    Example: spreadlets info combined
+    """
+    from spreadlets.database import open_database
+
+    with open_database(database) as opened:
+        _print(opened.summary(), as_json)
+
+
+@cli.command()
+@click.argument("frames", nargs=-1, required=True, type=click.Path(dir_okay=False), metavar="FRAME.exr...")
+@click.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help="The image to write (EXR).")
+@click.option("--camera", "camera_path", required=True, type=click.Path(dir_okay=False), help="Camera file (JSON).")
+@click.option("--db", "database", help="Database: a file or a shipped name.")
+@click.option("--method", default="spreadlets", show_default=True, help="spreadlets, or dense (PSFs drawn in full).")
+@click.option("--integrator", help="Poisson solver: exact, pyramid-f5 or pyramid-f7.")
+@click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
+@click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
+@click.option("--depth-channel", help="Name of the depth channel, if it is not recognised.")
+@click.option("--motion-channels", help="Names of the motion channels, separated by commas.")
+@click.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image.")
+@json_option
+def synth(
+    frames: tuple[str, ...],
+    output: str,
+    camera_path: str,
+    no_defocus: bool,
+    no_motion: bool,
+    depth_channel: str | None,
+    motion_channels: str | None,
+    reference: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
+
+    Several frames are depth layers of one view, nearest first.
+
+    Example: spreadlets synth frame.exr -o out.exr --camera camera.json --db combined
+    """
+    from runtime.render import Clock
+    from spreadlets import exr, metrics
+    from spreadlets.api import synthesize
+    from spreadlets.camera import read_camera
+
+    clock = Clock()
+    with clock.step("read"):
+        camera = read_camera(camera_path)
+        channels = motion_channels.split(",") if motion_channels else None
+        frame = exr.read_frame(list(frames), depth_channel=depth_channel, motion_channels=channels)
+        truth = exr.read_image(reference) if reference else None
+    image, report = synthesize(
+        frame,
+        camera,
+        options.pop("database"),
+        defocus=not no_defocus,
+        motion=not no_motion,
+        report=True,
+        clock=clock,
+        **options,
+    )
+    figures = metrics.compare(image, truth) if truth is not None else {}
+    with clock.step("write"):
+        exr.write_image(output, image)
+    report["time_s"]["write"] = clock.time_s["write"]
+    report["time_s"]["total"] += clock.time_s["write"]
+    _print(report | figures, as_json)
+
+
+@cli.command()
+@click.argument("image", type=click.Path(dir_okay=False), metavar="IMAGE.exr")
+@click.argument("reference", type=click.Path(dir_okay=False), metavar="REFERENCE.exr")
+@json_option
+def compare(image: str, reference: str, as_json: bool) -> None:
+    """Compare an image with a reference: SSIM, PSNR and FLIP as displayed, relMSE and mean error on linear values.
+
+    Example: spreadlets compare out.exr reference.exr
+    """
+    from spreadlets import exr, metrics
+
+    _print(metrics.compare(exr.read_image(image), exr.read_image(reference)), as_json)
+
+
+@cli.command()
+@click.option("-o", "--output", default="demo_output", show_default=True, type=click.Path(file_okay=False))
+@json_option
+def demo(output: str, as_json: bool) -> None:
+    """Blur the frame that ships with the package and compare it with the renderer's own depth of field and motion blur.
+
+    Example: spreadlets demo -o demo_output
+    """
+    from spreadlets.demo import run_demo
+
+    _print(run_demo(output), as_json)
+
+
+class _progress:
+    """A progress bar with an estimate on standard error, or nothing where it is not a terminal's place to show one."""
+
+    def __init__(self, title: str, *, quiet: bool) -> None:
+        self._title = title
+        self._quiet = quiet
+
+    def __enter__(self) -> Callable[[int, int], None] | None:
+        from rich import progress as bar
+        from rich.console import Console
+
+        columns = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
+        times = bar.TimeElapsedColumn(), bar.TextColumn("left"), bar.TimeRemainingColumn()
+        self._bar = bar.Progress(*columns, *times, console=Console(stderr=True), disable=self._quiet)
+        task = self._bar.add_task(self._title, total=None)
+        self._bar.start()
+        return lambda done, total: self._bar.update(task, completed=done, total=total)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+
+def _print(figures: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(_finite(figures)))
+    else:
+        for line in _lines(figures, ""):
+            click.echo(line)
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON cannot say (infinite PSNR of equal images) by null."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _lines(figures: dict[str, Any], indent: str) -> list[str]:
+    lines = []
+    for name, value in figures.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}", *_lines(value, indent + "  ")]
+        elif isinstance(value, float):
+            lines.append(f"{indent}{name:<18} {value:.5g}")
+        else:
+            text = ", ".join(map(str, value)) if isinstance(value, list) else value
+            lines.append(f"{indent}{name:<18} {text}")
+    return lines
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    click.echo(f"warning: {message}", err=True)
+
+
+def main() -> None:
+    """Run the command line; errors of the caller's become one line and exit status 2."""
+    warnings.showwarning = _show_warning
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Abort:
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        click.echo(f"error: {error.format_message()}", err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    except SpreadletsError as error:
+        click.echo("error: " + " ".join(str(error).split()), err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    except Exception as error:
+        click.echo(f"failed: {type(error).__name__}: {' '.join(str(error).split())}", err=True)
+        sys.exit(EXIT_FAILURE)
+
+
+if __name__ == "__main__":
+    main()

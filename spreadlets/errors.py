@@ -1,0 +1,25 @@
+"""The exception hierarchy: every refusal of bad input is one of these."""
+
+
+class SpreadletsError(ValueError):
+    """Base of all errors that the caller can mend; the message says what was given and what is allowed."""
+
+
+class InvalidFrameError(SpreadletsError):
+    """A frame's or a sample buffer's arrays are unusable: wrong shape, non-finite values, negative depth."""
+
+
+class InvalidCameraError(SpreadletsError):
+    """A camera is impossible (zero focal length, focus inside the focal length) or its file is malformed."""
+
+
+class InvalidFileError(SpreadletsError):
+    """An image file cannot be read as what it should be, or lacks a channel."""
+
+
+class InvalidDatabaseError(SpreadletsError):
+    """A spreadlet database is truncated, malformed, or of another version."""
+
+
+class InvalidParameterError(SpreadletsError):
+    """An option or argument is out of its allowed range, or names something unknown."""

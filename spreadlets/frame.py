@@ -1,0 +1,349 @@
+"""A frame of labelled pixels: colour, depth and motion in one or more depth layers, validated once on entry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.errors import InvalidFrameError
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+
+ALPHA_TOLERANCE = 1e-3
+"""Alpha may leave [0, 1] by this much and is clipped: half floats near 1 step by 5e-4, and filters overshoot."""
+
+BACKGROUND_DEPTH = np.float32(np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One depth layer of labelled pixels; made by `Frame`, which validates it.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+        Linear RGB premultiplied by alpha, and alpha in [0, 1].
+    depth : ndarray of shape (H, W), float32
+        Planar camera-space depth in metres, > 0; ``inf`` is background, and stands where an empty pixel had no depth.
+    motion : ndarray of shape (H, W, 2), float32
+        ``(dx, dy)`` in px per frame, y down, forward in time, at the label's time; zero where there is none.
+    motion_prev, motion_next : ndarray of shape (H, W, 2), float32, or None
+        The same over the frame before and the frame after, both forward in time, for a curved path.
+    has_motion : bool
+        Whether motion was given; if not, `motion` is zero.
+    """
+
+    radiance: FloatArray
+    depth: FloatArray
+    motion: FloatArray
+    motion_prev: FloatArray | None = None
+    motion_next: FloatArray | None = None
+    has_motion: bool = True
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.depth.shape[0], self.depth.shape[1]
+
+
+class Frame:
+    """One or more layers of labelled pixels, nearest first.
+
+    Parameters
+    ----------
+    radiance : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear RGB, or RGB premultiplied by alpha, and alpha in [0, 1]; without alpha every pixel is opaque.
+    depth : array_like of shape (H, W)
+        Planar camera-space depth in metres, > 0; ``inf`` is background.
+    motion : array_like of shape (H, W, 2), optional
+        ``(dx, dy)`` in px per frame, y down, forward in time. Without it the mean of `motion_prev` and `motion_next`
+        is taken; without those the frame is still.
+    motion_prev, motion_next : array_like of shape (H, W, 2), optional
+        Motion from the frame before and to the frame after, both forward in time; they come together.
+    repair : bool
+        Drop offending pixels (alpha and radiance 0) and count them in `dropped_pixels` instead of raising.
+
+    Raises
+    ------
+    InvalidFrameError
+        If shapes are wrong or disagree or, unless `repair`, if a pixel has non-finite radiance or alpha outside [0, 1],
+        or has alpha > 0 and a depth that is NaN or <= 0 or motion that is not finite. The message names the array,
+        the first offending pixel as (row, col), how many there are, and what is allowed.
+
+    Notes
+    -----
+    Pixels with alpha 0 may carry any depth and motion: a bad depth becomes ``inf`` there and bad motion becomes zero.
+    Contiguous float32 arrays are kept without a copy unless a pixel has to be mended.
+    """
+
+    def __init__(
+        self,
+        radiance: npt.ArrayLike,
+        depth: npt.ArrayLike,
+        motion: npt.ArrayLike | None = None,
+        *,
+        motion_prev: npt.ArrayLike | None = None,
+        motion_next: npt.ArrayLike | None = None,
+        repair: bool = False,
+    ) -> None:
+        layer = _converted_layer(radiance, depth, motion, motion_prev, motion_next)
+        layer, dropped = _validated_layer(layer, repair)
+        self._layers: tuple[Layer, ...] = (layer,)
+        self._dropped_pixels = dropped
+
+    @classmethod
+    def from_layers(cls, layers: Iterable[Frame | tuple[npt.ArrayLike, ...]], *, repair: bool = False) -> Frame:
+        """Stack layers into one frame.
+
+        Parameters
+        ----------
+        layers : iterable of Frame or tuple
+            Nearest first; a tuple is ``(radiance, depth)`` or ``(radiance, depth, motion)``.
+        repair : bool
+            As for `Frame`, applied to the tuples.
+
+        Returns
+        -------
+        Frame
+
+        Raises
+        ------
+        InvalidFrameError
+            If there is no layer, a layer is invalid, or the layers' shapes differ; the message says which layer.
+        """
+        frames = [_frame_from_item(index, item, repair) for index, item in enumerate(layers)]
+        if not frames:
+            raise InvalidFrameError("a frame needs at least one layer; none was given")
+        for index, frame in enumerate(frames):
+            if frame.shape != frames[0].shape:
+                raise InvalidFrameError(
+                    f"layer {index} has shape {frame.shape}, layer 0 has {frames[0].shape}; all layers share one shape"
+                )
+        stacked = cls.__new__(cls)
+        stacked._layers = tuple(layer for frame in frames for layer in frame.layers)
+        stacked._dropped_pixels = sum(frame.dropped_pixels for frame in frames)
+        return stacked
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """The layers, nearest first."""
+        return self._layers
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self._layers[0].shape
+
+    @property
+    def dropped_pixels(self) -> int:
+        """How many pixels `repair` dropped, over all layers."""
+        return self._dropped_pixels
+
+    @property
+    def radiance(self) -> FloatArray:
+        """Radiance of the only layer, (H, W, 4) float32; raises InvalidFrameError if there are several layers."""
+        return self._only_layer().radiance
+
+    @property
+    def depth(self) -> FloatArray:
+        """Depth of the only layer, (H, W) float32; raises InvalidFrameError if there are several layers."""
+        return self._only_layer().depth
+
+    @property
+    def motion(self) -> FloatArray:
+        """Motion of the only layer, (H, W, 2) float32; raises InvalidFrameError if there are several layers."""
+        return self._only_layer().motion
+
+    def _only_layer(self) -> Layer:
+        if len(self._layers) != 1:
+            raise InvalidFrameError(f"the frame has {len(self._layers)} layers; take the arrays from .layers")
+        return self._layers[0]
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        return f"Frame({height} x {width} px, {len(self._layers)} layer{'s' if len(self._layers) > 1 else ''})"
+
+
+def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """Return values as a contiguous float32 array; what float32 cannot hold becomes infinite.
+
+    Parameters
+    ----------
+    name : str
+        What the array is called in the error's message.
+    values : array_like
+        Integers or floats.
+
+    Raises
+    ------
+    InvalidFrameError
+        If `values` is no array of real numbers.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InvalidFrameError(f"{name} is not an array: {error}") from error
+    if array.dtype.kind not in "fiu":
+        raise InvalidFrameError(f"{name} has dtype {array.dtype}; it must hold integers or floats")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def image_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """Return a colour image as contiguous float32, checked for its shape only.
+
+    Parameters
+    ----------
+    name : str
+        What the array is called in the error's message.
+    values : array_like of shape (H, W, 3) or (H, W, 4)
+        The image; neither side may be empty.
+
+    Raises
+    ------
+    InvalidFrameError
+        If the shape or the type is another.
+    """
+    array = real_array(name, values)
+    if array.ndim != 3 or array.shape[2] not in (3, 4):
+        raise InvalidFrameError(f"{name} has shape {array.shape}; it must be (H, W, 3) or (H, W, 4)")
+    if array.size == 0:
+        raise InvalidFrameError(f"{name} has shape {array.shape}; it must hold at least one pixel")
+    return array
+
+
+def check_finite(name: str, array: FloatArray) -> None:
+    """Raise InvalidFrameError naming the first pixel and the count if an (H, W, ...) array is not finite."""
+    bad = _not_finite(array)
+    if bad.any():
+        raise InvalidFrameError(_Problem(name, "not finite", "finite numbers", bad).message())
+
+
+class _Problem(NamedTuple):
+    """What is wrong with which pixels of an array."""
+
+    array: str
+    what: str
+    allowed: str
+    pixels: BoolArray
+
+    def message(self) -> str:
+        row, col = np.unravel_index(int(np.argmax(self.pixels)), self.pixels.shape)
+        count = int(np.count_nonzero(self.pixels))
+        return (
+            f"{self.array} is {self.what} at {count} of {self.pixels.size} pixels, first at (row {row}, col {col}); "
+            f"allowed: {self.allowed}"
+        )
+
+
+def _not_finite(array: FloatArray) -> BoolArray:
+    """Return the (H, W) mask of pixels with a non-finite value in any channel."""
+    bad = ~np.isfinite(array)
+    return bad if bad.ndim == 2 else np.asarray(bad.any(axis=2))
+
+
+def _frame_from_item(index: int, item: Frame | tuple[npt.ArrayLike, ...], repair: bool) -> Frame:
+    """Return one entry of `Frame.from_layers` as a frame; errors say which entry it was."""
+    if isinstance(item, Frame):
+        return item
+    if not isinstance(item, tuple) or len(item) not in (2, 3):
+        raise InvalidFrameError(
+            f"layer {index} is a {type(item).__name__}; it must be a Frame or a tuple (radiance, depth[, motion])"
+        )
+    try:
+        return Frame(*item, repair=repair)
+    except InvalidFrameError as error:
+        raise InvalidFrameError(f"layer {index}: {error}") from error
+
+
+def _converted_layer(
+    radiance: npt.ArrayLike,
+    depth: npt.ArrayLike,
+    motion: npt.ArrayLike | None,
+    motion_prev: npt.ArrayLike | None,
+    motion_next: npt.ArrayLike | None,
+) -> Layer:
+    """Return a layer of contiguous float32 arrays whose shapes agree; the values are not looked at."""
+    colour = image_array("radiance", radiance)
+    height, width = colour.shape[:2]
+    if colour.shape[2] == 3:
+        colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
+    z = _label_array("depth", depth, (height, width))
+    if (motion_prev is None) != (motion_next is None):
+        lacking = "motion_prev" if motion_prev is None else "motion_next"
+        raise InvalidFrameError(f"{lacking} is missing; motion_prev and motion_next come together")
+    named = {"motion": motion, "motion_prev": motion_prev, "motion_next": motion_next}
+    given = {
+        name: _label_array(name, values, (height, width, 2)) for name, values in named.items() if values is not None
+    }
+    before, after = given.get("motion_prev"), given.get("motion_next")
+    if "motion" not in given and before is not None and after is not None:
+        with np.errstate(invalid="ignore"):  # infinities of both signs: found by the validation
+            given["motion"] = 0.5 * before + 0.5 * after
+    path = given["motion"] if "motion" in given else np.zeros((height, width, 2), np.float32)
+    return Layer(colour, z, path, before, after, has_motion=bool(given))
+
+
+def _label_array(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Return a label as contiguous float32 of the shape that the radiance demands."""
+    array = real_array(name, values)
+    if array.shape != shape:
+        raise InvalidFrameError(f"{name} has shape {array.shape}, but the radiance asks for {shape}")
+    return array
+
+
+def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int]:
+    """Return the layer with clipped alpha and harmless labels on empty pixels, and how many pixels were dropped."""
+    dropped = np.zeros(layer.shape, np.bool_)
+    for problem in _problems(layer):
+        if not repair:
+            raise InvalidFrameError(f"{problem.message()} (or repair the frame, which drops these pixels)")
+        dropped |= problem.pixels
+    radiance = _replaced(layer.radiance, dropped, np.float32(0))
+    alpha = radiance[..., 3]
+    outside = (alpha < 0) | (alpha > 1)
+    if outside.any():
+        radiance = radiance.copy()
+        radiance[..., 3] = np.clip(alpha, 0, 1)
+    # What is left to mend lies on empty pixels: visible ones were refused or dropped above.
+    before, after = layer.motion_prev, layer.motion_next
+    mended = replace(
+        layer,
+        radiance=radiance,
+        depth=_replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH),
+        motion=_replaced(layer.motion, _not_finite(layer.motion), np.float32(0)),
+        motion_prev=None if before is None else _replaced(before, _not_finite(before), np.float32(0)),
+        motion_next=None if after is None else _replaced(after, _not_finite(after), np.float32(0)),
+    )
+    return mended, int(np.count_nonzero(dropped))
+
+
+def _problems(layer: Layer) -> list[_Problem]:
+    """Return what is wrong with a layer's values, one array and kind at a time."""
+    checks = [_Problem("radiance", "not finite", "finite linear values", _not_finite(layer.radiance))]
+    alpha = layer.radiance[..., 3]
+    wrong_alpha = (alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE)
+    checks.append(_Problem("alpha (the fourth channel of radiance)", "out of range", "0 to 1", wrong_alpha))
+    visible = alpha > 0
+    metres = "metres > 0, or inf for background"
+    checks.append(_Problem("depth", "NaN", metres, visible & np.isnan(layer.depth)))
+    checks.append(_Problem("depth", "zero or negative", metres, visible & (layer.depth <= 0)))
+    paths = {"motion_prev": layer.motion_prev, "motion_next": layer.motion_next, "motion": layer.motion}
+    for name, path in paths.items():
+        if path is not None:
+            checks.append(_Problem(name, "not finite", "finite px per frame", visible & _not_finite(path)))
+    return [check for check in checks if check.pixels.any()]
+
+
+def _replaced(array: FloatArray, pixels: BoolArray, value: np.float32) -> FloatArray:
+    """Return the array with some pixels set to a value; a copy only if there are any."""
+    if not pixels.any():
+        return array
+    changed = array.copy()
+    changed[pixels] = value
+    return changed

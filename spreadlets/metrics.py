@@ -1,0 +1,314 @@
+"""Image and PSF errors, each defined once: SSIM, PSNR, FLIP, relMSE, mean absolute error, and the PSF similarity."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.errors import InvalidFrameError
+from spreadlets.frame import FloatArray, check_finite, image_array
+
+SSIM_OPTIONS: dict[str, Any] = {
+    "gaussian_weights": True,
+    "sigma": 1.5,
+    "use_sample_covariance": False,
+    "data_range": 1.0,
+}
+"""The SSIM of Wang et al. 2004: an 11 x 11 Gaussian window over values in [0, 1]."""
+
+SSIM_WINDOW_PX = 11
+"""Side of that window (the Gaussian is cut at 3.5 sigma); a smaller image has no SSIM."""
+
+RELMSE_EPSILON = 0.01
+"""Added to the squared reference in relMSE, so that black pixels do not decide the figure."""
+
+PSF_SUPPORT_THRESHOLD = 1e-4
+"""Pixels above this fraction of the peak are a PSF's support."""
+
+PSF_MARGIN_PX = 8
+PSF_MARGIN_FRACTION = 0.25
+"""A PSF's box grows on each side by the greater of the two, so that errors outside the support count."""
+
+
+def display_encode(image: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """Return linear values in sRGB encoding, clipped to [0, 1].
+
+    Parameters
+    ----------
+    image : array_like of any shape
+        Linear values; NaN stays NaN.
+
+    Returns
+    -------
+    ndarray of the same shape, float32 for float32 input, else float64
+
+    Notes
+    -----
+    IEC 61966-2-1: linear below 0.0031308, a power of 1/2.4 above.
+    """
+    values = np.asarray(image)
+    dtype = np.float32 if values.dtype == np.float32 else np.float64
+    linear = np.clip(values.astype(dtype, copy=False), 0, 1)
+    curved = 1.055 * np.power(linear, 1 / 2.4) - 0.055
+    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), dtype=dtype)
+
+
+def ssim(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Return the mean structural similarity of the display-encoded colours; 1 for equal images.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance, at least 11 px on each side; alpha is ignored.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, an image is too small for the window, or a value is not finite.
+
+    Notes
+    -----
+    `skimage.metrics.structural_similarity` with `SSIM_OPTIONS`, mean over the three channels.
+    """
+    return _ssim(*_colours(image, reference))
+
+
+def psnr(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Return the peak signal-to-noise ratio of the display-encoded colours in dB; ``inf`` for equal images.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance; alpha is ignored.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, or a value is not finite.
+    """
+    return _psnr(*_colours(image, reference))
+
+
+def flip(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Return the mean LDR-FLIP error of the display-encoded colours, 0 to 1; 0 for equal images.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance; alpha is ignored.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, or a value is not finite.
+
+    Notes
+    -----
+    The flip-evaluator's default viewing distance, 67 px per degree.
+    """
+    return _flip(*_colours(image, reference))
+
+
+def relmse(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Return the relative mean square error of the linear colours, ``mean((x - r)^2 / (r^2 + 0.01))``.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance; alpha is ignored.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, or a value is not finite.
+    """
+    return _relmse(*_colours(image, reference))
+
+
+def mae(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Return the mean absolute error of the linear colours.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance; alpha is ignored.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, or a value is not finite.
+    """
+    return _mae(*_colours(image, reference))
+
+
+def compare(image: npt.ArrayLike, reference: npt.ArrayLike) -> dict[str, float]:
+    """Return every image metric of an image against its reference.
+
+    Parameters
+    ----------
+    image, reference : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance, at least 11 px on each side; alpha is ignored.
+
+    Returns
+    -------
+    dict
+        ``ssim``, ``psnr`` (dB; ``inf`` for equal images, which JSON cannot hold), ``flip``, ``relmse`` and ``mae``.
+
+    Raises
+    ------
+    InvalidFrameError
+        If a shape is wrong, the sizes differ, an image is too small, or a value is not finite.
+    """
+    pair = _colours(image, reference)
+    return {
+        "ssim": _ssim(*pair),
+        "psnr": _psnr(*pair),
+        "flip": _flip(*pair),
+        "relmse": _relmse(*pair),
+        "mae": _mae(*pair),
+    }
+
+
+def psf_similarity(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> float:
+    """Return the structural similarity of a reconstructed PSF over the PSF's bounding box and a margin.
+
+    Parameters
+    ----------
+    psf : array_like of shape (h, w) or (h, w, C)
+        The true PSF, non-negative, not all zero, on a window that holds its support.
+    reconstruction : array_like of the same shape
+        Its reconstruction on the same window, which may reach beyond the PSF's box.
+
+    Returns
+    -------
+    float
+        1 for equal arrays; the mean over channels.
+
+    Raises
+    ------
+    InvalidFrameError
+        If the shapes differ, a value is not finite, or the PSF has no positive value.
+
+    Notes
+    -----
+    Both arrays are divided by the true PSF's peak (over all channels). The box of the pixels above 1e-4 of the peak
+    grows on each side by the greater of 8 px and a quarter of that axis' length; the arrays count as zero outside.
+    """
+    true, approximate = _psf_pair(psf, reconstruction)
+    peak = true.max()
+    if not peak > 0:
+        raise InvalidFrameError("psf has no positive value; its peak must be > 0")
+    box = _grown_support(true / peak)
+    return _structural_similarity(*(_crop_zero_padded(array / peak, box) for array in (true, approximate)))
+
+
+def psf_l1(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> float:
+    """Return the relative L1 error of a reconstructed PSF, ``sum |u - f| / sum f`` over window and channels.
+
+    Parameters
+    ----------
+    psf, reconstruction : array_like of the same shape (h, w) or (h, w, C)
+        The true PSF ``f``, of positive sum, and its reconstruction ``u``.
+
+    Raises
+    ------
+    InvalidFrameError
+        If the shapes differ, a value is not finite, or the PSF's sum is not positive.
+    """
+    true, approximate = _psf_pair(psf, reconstruction)
+    total = float(true.sum())
+    if not total > 0:
+        raise InvalidFrameError(f"psf sums to {total:g}; it must be > 0")
+    return float(np.abs(approximate - true).sum()) / total
+
+
+def _colours(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the checked RGB of both images, (H, W, 3) float32."""
+    pair = image_array("image", image), image_array("reference", reference)
+    if pair[0].shape[:2] != pair[1].shape[:2]:
+        raise InvalidFrameError(
+            f"image is {pair[0].shape[0]} x {pair[0].shape[1]} px, but reference is "
+            f"{pair[1].shape[0]} x {pair[1].shape[1]} px; they must agree"
+        )
+    for name, array in zip(("image", "reference"), pair, strict=True):
+        check_finite(name, array[..., :3])
+    return np.ascontiguousarray(pair[0][..., :3]), np.ascontiguousarray(pair[1][..., :3])
+
+
+def _ssim(image: FloatArray, reference: FloatArray) -> float:
+    if min(image.shape[:2]) < SSIM_WINDOW_PX:
+        raise InvalidFrameError(
+            f"the images are {image.shape[0]} x {image.shape[1]} px; SSIM needs {SSIM_WINDOW_PX} px on each side"
+        )
+    return _structural_similarity(display_encode(image), display_encode(reference))
+
+
+def _structural_similarity(image: npt.NDArray[np.floating[Any]], reference: npt.NDArray[np.floating[Any]]) -> float:
+    """Return the mean SSIM of two (H, W, C) arrays of values in [0, 1]."""
+    import skimage.metrics
+
+    similarity: Any = skimage.metrics.structural_similarity
+    return float(similarity(image, reference, channel_axis=2, **SSIM_OPTIONS))
+
+
+def _psnr(image: FloatArray, reference: FloatArray) -> float:
+    difference = display_encode(image).astype(np.float64) - display_encode(reference)
+    mean_square = float(np.mean(difference**2))
+    return -10 * math.log10(mean_square) if mean_square > 0 else math.inf
+
+
+def _flip(image: FloatArray, reference: FloatArray) -> float:
+    from flip_evaluator import evaluate
+
+    _, mean, _ = evaluate(display_encode(reference), display_encode(image), "LDR", applyMagma=False)
+    return float(mean)
+
+
+def _relmse(image: FloatArray, reference: FloatArray) -> float:
+    x, r = image.astype(np.float64), reference.astype(np.float64)
+    return float(np.mean((x - r) ** 2 / (r**2 + RELMSE_EPSILON)))
+
+
+def _mae(image: FloatArray, reference: FloatArray) -> float:
+    return float(np.mean(np.abs(image.astype(np.float64) - reference)))
+
+
+def _psf_pair(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], ...]:
+    """Return both arrays as (h, w, C) float64 of one shape with finite values."""
+    pair = np.asarray(psf, dtype=np.float64), np.asarray(reconstruction, dtype=np.float64)
+    if pair[0].shape != pair[1].shape or pair[0].ndim not in (2, 3) or pair[0].size == 0:
+        raise InvalidFrameError(
+            f"psf has shape {pair[0].shape} and reconstruction {pair[1].shape}; "
+            "both must be (h, w) or (h, w, C), equal and not empty"
+        )
+    for name, array in zip(("psf", "reconstruction"), pair, strict=True):
+        if not np.isfinite(array).all():
+            raise InvalidFrameError(f"{name} has values that are not finite")
+    return tuple(array.reshape(array.shape[0], array.shape[1], -1) for array in pair)
+
+
+def _grown_support(psf: npt.NDArray[np.float64]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return ((first row, end row), (first column, end column)) of the grown box; it may leave the array."""
+    support = (psf > PSF_SUPPORT_THRESHOLD).any(axis=2)
+    ranges = []
+    for axis in (0, 1):
+        occupied = np.nonzero(support)[axis]
+        first, end = int(occupied.min()), int(occupied.max()) + 1
+        margin = max(PSF_MARGIN_PX, math.ceil(PSF_MARGIN_FRACTION * (end - first)))
+        ranges.append((first - margin, end + margin))
+    return ranges[0], ranges[1]
+
+
+def _crop_zero_padded(
+    array: npt.NDArray[np.float64], box: tuple[tuple[int, int], tuple[int, int]]
+) -> npt.NDArray[np.float64]:
+    """Return the part of an (h, w, C) array in a box that may leave it, with zeros outside the array."""
+    (top, bottom), (left, right) = box
+    window = np.zeros((bottom - top, right - left, array.shape[2]))
+    inside = array[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+    row, col = max(-top, 0), max(-left, 0)
+    window[row : row + inside.shape[0], col : col + inside.shape[1]] = inside
+    return window

@@ -1,0 +1,56 @@
+"""The import rules of the three packages: data flows one way."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("spreadlets", "precompute", "runtime")
+JOINING_MODULES = {"spreadlets/__init__.py", "spreadlets/api.py", "spreadlets/cli.py", "spreadlets/demo.py"}
+"""The facade and the command line: they alone may name both halves."""
+
+
+def imported_modules(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.add(node.module or "")
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def product_files() -> list[str]:
+    return sorted(str(path.relative_to(ROOT)) for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+
+
+@pytest.mark.parametrize("name", product_files())
+def test_each_module_imports_only_what_its_package_may(name):
+    roots = {module.split(".")[0] for module in imported_modules(ROOT / name)}
+    package = name.split("/")[0]
+    if name in JOINING_MODULES:
+        return
+    assert not roots & (set(PACKAGES) - {package, "spreadlets"}), f"{name} reaches into another package"
+    exported = imported_modules(ROOT / "spreadlets/__init__.py")
+    facade = {module for module in imported_modules(ROOT / name) if module == "spreadlets"}
+    submodules = {f"spreadlets.{path.stem}" for path in (ROOT / "spreadlets").glob("*.py")}
+    named = {module for module in imported_modules(ROOT / name) if module.startswith("spreadlets.")}
+    assert not facade or named <= submodules, f"{name} imports the facade"
+    assert exported
+
+
+@pytest.mark.parametrize("name", [name for name in product_files() if name.endswith("_kernels.py")])
+def test_kernel_modules_import_only_numpy_numba_math(name):
+    roots = {module.split(".")[0] for module in imported_modules(ROOT / name)}
+    assert roots <= {"numpy", "numba", "math"}
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = "import sys, spreadlets; print([m for m in ('numpy', 'numba', 'h5py', 'OpenEXR') if m in sys.modules])"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
