@@ -151,7 +151,7 @@ def _checked_box(model: PsfModel, box: npt.ArrayLike) -> FloatArray:
     ranges = np.asarray(box, dtype=np.float64)
     if ranges.shape != (model.n_axes, 2):
         raise InvalidParameterError(
-            f"the box of model {model.name!r} has shape ({model.n_axes}, 2), one (low, high) per axis, not {ranges.shape}"
+            f"the box of {model.name!r} needs shape ({model.n_axes}, 2), low and high per axis, not {ranges.shape}"
         )
     if not (np.isfinite(ranges).all() and (ranges[:, 0] >= 0.0).all() and (ranges[:, 0] <= ranges[:, 1]).all()):
         raise InvalidParameterError(f"each range of the box needs 0 <= low <= high < inf, not {ranges.tolist()}")

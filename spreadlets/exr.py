@@ -360,7 +360,7 @@ def _merged(path: PathLike, parts: Sequence[_Part]) -> _Image:
 
 def _read_parts(path: PathLike) -> list[_Part]:
     """Return every channel of a file as stored, after checking what the header promises."""
-    if not Path(path).is_file():
+    if not os.path.isfile(path):
         raise InvalidFileError(f"{path}: there is no such file")
     header, _ = _open(path, header_only=True)
     _check_headers(path, [part.header for part in header.parts])
@@ -617,9 +617,9 @@ def _named_frame(
 def _atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
     """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
     target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file():
+    if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise
         raise InvalidFileError(f"{path}: cannot be written: it exists and is not a regular file")
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise InvalidFileError(f"{path}: cannot be written: there is no folder {target.parent}")
     temporary = target.with_name(f".spreadlets-{secrets.token_hex(8)}{suffix}")
     try:

@@ -1,9 +1,9 @@
-"""Naive twins of the fast paths and closed-form point spread functions: slow, plain, and independent of the packages."""
+"""Naive twins of the fast paths and closed-form PSFs: slow, plain, and independent of the packages."""
 
 import numpy as np
 
 NODES_PER_PX = 16
-"""Quadrature nodes per px of a capsule's path: halving it moves no capsule tested here by more than 1e-5 relative L1."""
+"""Quadrature nodes per px of a capsule's path: from radius 4 px up, the relative L1 error is below 1e-5."""
 
 
 def _half_disc(t, radius):
@@ -82,8 +82,8 @@ def deposit_segments(ends, start, stop, image):
 def trace_points(coc, motion, angle, size, n_rays, rng):
     """Naive tracer of the combined model: random points of the lens and of the shutter, one deposit each."""
     image = np.zeros((size, size))
-    for radius, phi, time in zip(np.sqrt(rng.random(n_rays)), 2 * np.pi * rng.random(n_rays), rng.random(n_rays)):  # noqa: B905
-        along = (time - 0.5) * motion
+    for area, turn, time in rng.random((n_rays, 3)):
+        radius, phi, along = np.sqrt(area), 2 * np.pi * turn, (time - 0.5) * motion
         col = int(np.floor(coc * radius * np.cos(phi) + along * np.cos(angle) + 0.5)) + size // 2
         row = int(np.floor(coc * radius * np.sin(phi) + along * np.sin(angle) + 0.5)) + size // 2
         image[row, col] += 1 / n_rays

@@ -1,0 +1,167 @@
+"""The whole runtime on frames small enough to know the answer."""
+
+import numpy as np
+import pytest
+from reference import capsule_psf, disc_coverage
+
+from runtime.render import synthesize
+from runtime.variant import scaled
+from spreadlets.api import synthesize as synthesize_any
+from spreadlets.camera import ThinLens
+from spreadlets.errors import InvalidParameterError
+from spreadlets.frame import Frame
+from spreadlets.metrics import psf_l1
+
+SIZE = 65
+CAMERA = ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=0.7, focus_distance_m=4.0, shutter=(-0.25, 0.25))
+
+
+def depth_of(coc, size=SIZE):
+    """Depth, metres, of a signed CoC radius, px: the lens equation the other way round."""
+    scale = 0.5 * (0.05 / CAMERA.f_number) * (50.0 / 36.0 * size)
+    return 1.0 / (1.0 / CAMERA.focus_distance_m - coc / scale)
+
+
+def spot_frame(row, col, coc, path=(0.0, 0.0), size=SIZE, camera=CAMERA):
+    """A single bright pixel on black; every pixel has the same CoC and the same motion (dx, dy) over the shutter."""
+    radiance = np.zeros((size, size, 3), np.float32)
+    radiance[row, col] = (4.0, 2.0, 1.0)
+    depth = np.full((size, size), depth_of(coc, size), np.float32)
+    motion = np.broadcast_to(np.array(path, np.float32) / camera.shutter_duration, (size, size, 2))
+    return Frame(radiance, depth, motion)
+
+
+def shifted_window(psf, row, col, size=SIZE):
+    """Cut the frame out of a PSF whose centre lies at (row, col)."""
+    half = psf.shape[0] // 2
+    canvas = np.zeros((size + 2 * half, size + 2 * half))
+    canvas[row : row + psf.shape[0], col : col + psf.shape[1]] = psf
+    return canvas[half : half + size, half : half + size]
+
+
+def centroid(image):
+    rows, cols = np.indices(image.shape)
+    return np.array([(image * rows).sum(), (image * cols).sum()]) / image.sum()
+
+
+@pytest.mark.parametrize("place", [(32, 32), (1, 1), (1, 40), (63, 62), (20, 63)])
+@pytest.mark.parametrize(
+    ("coc", "length", "angle"),
+    [(-5.0, 0, 0), (9.0, 0, 0), (6.0, 9.0, 200), (4.0, 12, 33), (-5.0, 15, 118), (2, 14, 45), (0, 10, 290), (0, 0, 0)],
+)
+def test_a_bright_pixel_becomes_its_point_spread_function(small_combined, place, coc, length, angle):
+    radians = np.deg2rad(angle)
+    path = length * np.cos(radians), length * np.sin(radians)
+    image, _ = synthesize(spot_frame(*place, coc, path), CAMERA, small_combined)
+    cell = int(small_combined.find((abs(coc), length)))
+    radius, stretch = small_combined.grid.coordinate(cell)
+    exact = capsule_psf(radius, stretch, radians, 65) if length else disc_coverage(radius, size=65)
+    expected = shifted_window(exact, *place)
+    red = image[..., 0] / 4.0
+    assert np.allclose(image[..., 1], image[..., 0] / 2, atol=1e-5), "colours keep their ratios"
+    margin = 0.005 if place == (32, 32) else 0.02  # at a border a cell's own width moves what the border cuts off
+    assert red.sum() == pytest.approx(expected.sum(), rel=margin)
+    assert np.abs(centroid(red) - centroid(expected)).max() < (0.1 if place == (32, 32) else 0.35)
+
+
+@pytest.mark.parametrize("shutter", [(0.0, 0.5), (-0.5, 0.0), (0.1, 0.23)])
+def test_an_uncentred_shutter_moves_the_centroid_by_a_fraction_of_a_pixel(small_combined, shutter):
+    camera = ThinLens(50.0, 36.0, 0.7, 4.0, shutter)
+    frame = spot_frame(30, 30, 3.0, (7.0, -4.0), camera=camera)
+    image, _ = synthesize(frame, camera, small_combined)
+    per_frame = np.array([-4.0, 7.0]) / camera.shutter_duration
+    expected = 30 + per_frame * camera.shutter_centre
+    assert np.abs(centroid(image[..., 0]) - expected).max() < 0.1
+    assert image[..., 0].sum() == pytest.approx(4.0, rel=5e-3)
+
+
+def test_a_constant_frame_stays_constant_up_to_its_border(small_combined):
+    rng = np.random.default_rng(0)
+    radiance = np.full((48, 57, 3), 0.7, np.float32)
+    depth = depth_of(rng.uniform(-10, 10, (48, 57)), 57).astype(np.float32)
+    motion = rng.uniform(-20, 20, (48, 57, 2)).astype(np.float32)
+    image, _ = synthesize(Frame(radiance, depth, motion), CAMERA, small_combined)
+    assert np.allclose(image[..., :3], 0.7, rtol=2e-3)
+    assert (image[..., 3] == 1).all()
+
+
+def test_in_focus_and_still_nothing_changes(small_combined):
+    rng = np.random.default_rng(1)
+    radiance = rng.random((20, 31, 3)).astype(np.float32)
+    image, report = synthesize(Frame(radiance, np.full((20, 31), 4.0)), CAMERA, small_combined)
+    assert np.allclose(image[..., :3], radiance, atol=1e-5)
+    assert {"motion", "defocus", "empty pixels"} & set(report["plan"]["left_out"]) == {"motion", "defocus"}
+
+
+def test_layers_are_composited_nearest_first(small_combined):
+    red, blue = np.zeros((2, 24, 24, 4), np.float32)
+    red[:, :12] = (1, 0, 0, 1)
+    blue[...] = (0, 0, 1, 1)
+    in_focus = np.full((24, 24), 4.0)
+    image, report = synthesize(Frame.from_layers([(red, in_focus), (blue, in_focus)]), CAMERA, small_combined)
+    assert np.allclose(image[:, :12], (1, 0, 0, 1), atol=1e-5)
+    assert np.allclose(image[:, 12:], (0, 0, 1, 1), atol=1e-5)
+    assert report["plan"]["layers"] == 2
+
+
+def test_a_lone_opaque_pixel_keeps_its_transparency(small_combined):
+    radiance = np.zeros((41, 41, 4), np.float32)
+    radiance[20, 20] = 1.0
+    image, report = synthesize(Frame(radiance, np.full((41, 41), depth_of(6.0, 41))), CAMERA, small_combined)
+    assert image[..., 3].sum() == pytest.approx(1.0, rel=5e-3)
+    assert report["plan"]["pixels_skipped"] == 41 * 41 - 1
+
+
+def test_effects_can_be_switched_off(small_combined):
+    frame = spot_frame(32, 32, 6.0, (12.0, 0.0))
+    spread = {}
+    for name, options in {"both": {}, "dof": {"motion": False}, "mb": {"defocus": False}}.items():
+        image, _ = synthesize(frame, CAMERA, small_combined, **options)
+        rows, cols = np.nonzero(image[..., 0] > 1e-3)
+        spread[name] = np.ptp(rows), np.ptp(cols)
+    assert spread["dof"][0] == pytest.approx(spread["dof"][1], abs=1)
+    assert spread["mb"][0] <= 2 < spread["mb"][1]
+    assert spread["both"][1] > spread["dof"][1]
+
+
+def test_sparse_and_dense_agree(small_combined):
+    frame = spot_frame(32, 32, 9.0, (10.0, 6.0))
+    sparse = synthesize_any(frame, CAMERA, small_combined)
+    dense, report = synthesize_any(frame, CAMERA, small_combined, method="dense", report=True)
+    assert report["plan"]["pixels_sparse"] == 0
+    assert psf_l1(dense[..., 0], sparse[..., 0]) < 0.1
+    assert sparse.mean() == pytest.approx(dense.mean(), rel=1e-3)
+
+
+def test_beyond_the_range_the_nearest_cell_is_scaled_with_a_warning(small_combined):
+    frame = spot_frame(32, 32, 20.0)
+    with pytest.warns(UserWarning, match=r"100.00 % of the pixels.*coc 0 to 12 px.*1.67 times"):
+        image, _ = synthesize(frame, CAMERA, small_combined)
+    rows, cols = np.nonzero(image[..., 0] > 0.5 * image[32, 32, 0])
+    assert np.ptp(rows) / 2 == pytest.approx(20, rel=0.12) and np.ptp(cols) / 2 == pytest.approx(20, rel=0.12)
+    assert image[..., 0].sum() == pytest.approx(4.0, rel=5e-3)
+
+
+def test_scaling_keeps_the_moments(small_combined):
+    spreadlet = next(
+        spreadlet
+        for cell in reversed(range(small_combined.n_cells))
+        if not (spreadlet := small_combined.cell(cell)).direct
+    )
+    wider = scaled(spreadlet, 1.7)
+    assert np.allclose(wider.moments(), spreadlet.moments(), atol=2e-3)
+    assert wider.extent[0] == pytest.approx(1.7 * spreadlet.extent[0], abs=1)
+
+
+def test_an_unknown_method_is_named(small_combined):
+    with pytest.raises(InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense"):
+        synthesize_any(spot_frame(3, 3, 1.0), CAMERA, small_combined, method="magic")
+
+
+def test_a_model_without_motion_says_that_it_ignores_it(tmp_path):
+    from precompute.build import build_database
+    from spreadlets.database import open_database
+
+    build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0)
+    with open_database(tmp_path / "s.h5") as database, pytest.warns(UserWarning, match="no axis 'motion'.*100.0 %"):
+        synthesize(spot_frame(32, 32, 4.0, (5.0, 0.0)), CAMERA, database)

@@ -1,0 +1,181 @@
+"""The command line as scripts call it: JSON on standard output, one line for an error, nothing half-written."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from spreadlets import cli, exr
+from spreadlets.frame import Frame
+
+CAMERA = {
+    "focal_length_mm": 50.0,
+    "sensor_width_mm": 36.0,
+    "f_number": 1.0,
+    "focus_distance_m": 4.0,
+    "shutter_open_close_frames": [-0.25, 0.25],
+}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, recwarn):
+    def run_command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["spreadlets", *map(str, arguments)])
+        monkeypatch.setattr("warnings.showwarning", None)
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            status = stop.code
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run_command
+
+
+@pytest.fixture
+def scene(tmp_path):
+    rng = np.random.default_rng(0)
+    radiance = rng.random((24, 32, 3)).astype(np.float32)
+    motion = np.full((24, 32, 2), 4.0, np.float32)
+    exr.write_frame(tmp_path / "frame.exr", Frame(radiance, np.full((24, 32), 5.0), motion))
+    exr.write_image(tmp_path / "reference.exr", radiance)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+    return tmp_path
+
+
+def synth_arguments(scene, database, **changed):
+    options = {"-o": scene / "out.exr", "--camera": scene / "camera.json", "--db": database} | changed
+    return ["synth", scene / "frame.exr", *(item for pair in options.items() for item in pair)]
+
+
+def test_synth_prints_one_json_object(run, scene, small_combined_path):
+    arguments = synth_arguments(scene, small_combined_path, **{"--reference": scene / "reference.exr"})
+    status, out, err = run(*arguments, "--json")
+    assert status == 0 and err == ""
+    report = json.loads(out)
+    assert set(report["time_s"]) == {"read", "plan", "splat", "integrate", "composite", "write", "total"}
+    assert set(report["plan"]) >= {"layers", "cells_used", "cells_total", "pixels_sparse", "pixels_dense"}
+    assert set(report["plan"]) >= {"pixels_skipped", "points_splatted", "padding_px", "left_out"}
+    assert {"compile_s", "peak_rss_mb", "ssim", "psnr", "flip", "relmse", "mae"} <= set(report)
+    assert report["time_s"]["total"] == pytest.approx(sum(report["time_s"].values()) - report["time_s"]["total"])
+    assert exr.read_image(scene / "out.exr").shape == (24, 32, 4)
+
+
+def test_switches_reach_the_result(run, scene, small_combined_path):
+    images = {}
+    for name in ("--no-defocus", "--no-motion", "--json"):
+        assert run(*synth_arguments(scene, small_combined_path), name)[0] == 0
+        images[name] = exr.read_image(scene / "out.exr")
+    assert not np.allclose(images["--no-defocus"], images["--json"], atol=1e-3)
+    assert not np.allclose(images["--no-motion"], images["--json"], atol=1e-3)
+
+
+def test_several_frames_are_layers(run, scene, small_combined_path):
+    radiance = np.zeros((24, 32, 4), np.float32)
+    radiance[:8] = 1.0
+    exr.write_frame(scene / "front.exr", Frame(radiance, np.full((24, 32), 4.0)))
+    arguments = synth_arguments(scene, small_combined_path)
+    status, out, _ = run(arguments[0], scene / "front.exr", *arguments[1:], "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 2
+    assert np.allclose(exr.read_image(scene / "out.exr")[:7], 1.0, atol=1e-2)
+
+
+def test_info_and_compare(run, scene, small_combined_path):
+    status, out, _ = run("info", small_combined_path, "--json")
+    figures = json.loads(out)
+    assert status == 0 and figures["model"] == "combined" and figures["n_cells"] == 28 and figures["seed"] == 1
+    assert {"n_channels", "size_bytes", "mean_sparsity", "mean_ssim", "min_ssim", "mean_l1"} <= set(figures)
+    assert {"max_energy_error", "build_s", "parameters"} <= set(figures)
+    status, out, _ = run("compare", scene / "reference.exr", scene / "reference.exr", "--json")
+    assert status == 0
+    assert json.loads(out) == {"ssim": 1.0, "psnr": None, "flip": 0.0, "relmse": 0.0, "mae": 0.0}
+    status, out, _ = run("compare", scene / "reference.exr", scene / "reference.exr")
+    assert "ssim" in out
+
+
+def test_build_writes_a_database(run, tmp_path):
+    output = tmp_path / "tiny.h5"
+    arguments = ("--samples", 6, "--max-coc", 5, "--jobs", 1, "--seed", 3, "--density", "0.5")
+    status, out, err = run("build", "simplelens", "-o", output, *arguments, "--json")
+    assert status == 0 and err == ""
+    assert json.loads(out)["parameters"]["density"] == 0.5
+    assert [path.name for path in tmp_path.iterdir()] == ["tiny.h5"]
+
+
+def with_camera(**changes):
+    def write(scene):
+        camera = CAMERA | changes
+        (scene / "camera.json").write_text(json.dumps({key: value for key, value in camera.items() if value != "-"}))
+
+    return write
+
+
+def with_frame(**changes):
+    def write(scene):
+        values = {"R": 0.5, "G": 0.5, "B": 0.5, "Z": 5.0} | changes
+        channels = {name: np.full((4, 4), value, np.float32) for name, value in values.items() if value is not None}
+        import OpenEXR
+
+        header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+        OpenEXR.File(header, channels).write(str(scene / "frame.exr"))
+
+    return write
+
+
+BAD_INPUT = [
+    (with_camera(focal_length_mm=0.0), "focal"),
+    (with_camera(focus_distance_m=0.01), "focus"),
+    (with_camera(f_number="-"), "f_number"),
+    (with_frame(Z=None), "depth"),
+    (with_frame(Z=-1.0), "depth"),
+    (with_frame(Z=float("nan")), "depth"),
+    (with_frame(R=float("nan")), "radiance"),
+    (with_frame(G=None), "G"),
+    (lambda scene: (scene / "frame.exr").write_bytes(b"not an image"), "frame.exr"),
+    (lambda scene: (scene / "frame.exr").unlink(), "frame.exr"),
+    (lambda scene: (scene / "camera.json").write_text("{"), "camera.json"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "named"), BAD_INPUT)
+def test_bad_input_is_one_line_and_leaves_nothing(run, scene, small_combined_path, spoil, named):
+    spoil(scene)
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 2 and out == ""
+    assert err.startswith("error: ") and err.count("\n") == 1 and named in err
+    assert not [path for path in scene.iterdir() if "out" in path.name]
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "named"),
+    [
+        ("--method", "magic", "magic"),
+        ("--integrator", "magic", "magic"),
+        ("--db", "nowhere.h5", "nowhere.h5"),
+        ("-o", "/nonexistent/out.exr", "/nonexistent"),
+    ],
+)
+def test_bad_options_are_one_line(run, scene, small_combined_path, option, value, named):
+    status, _, err = run(*synth_arguments(scene, small_combined_path, **{option: value}))
+    assert status == 2 and err.count("\n") == 1 and named in err
+
+
+def test_wrong_usage_exits_2(run):
+    for arguments in (("synth",), ("build", "nothing", "-o", "x.h5"), ("fly",), ("build", "combined", "--seed", "-1")):
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, "") and err.startswith("error: ")
+
+
+def test_every_command_shows_an_example(run):
+    for command in cli.cli.commands:
+        status, out, _ = run(command, "--help")
+        assert status == 0 and "Example: spreadlets" in out
+
+
+def test_a_warning_goes_to_standard_error(run, scene, small_combined_path):
+    (scene / "camera.json").write_text(json.dumps(CAMERA | {"f_number": 0.02}))
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 0 and json.loads(out)
+    assert err.startswith("warning: ") and "beyond the database's range" in err
