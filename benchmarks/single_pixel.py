@@ -19,7 +19,7 @@ from reference import capsule_psf, disc_coverage  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SIZE = 321
-CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.1, focus_distance_m=4.0, shutter=(-0.25, 0.25))
+CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.002, focus_distance_m=4.0, shutter=(-0.25, 0.25))
 
 
 def spot_frame(place: tuple[int, int], coc: float, path: np.ndarray) -> sp.Frame:

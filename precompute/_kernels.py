@@ -127,3 +127,42 @@ def add_green(image, quarter, point_rc, change):
                 green = line[abs(c - point_rc[j, 1])]
                 for k in range(n_channels):
                     image[r, c, k] += green * change[j, k]
+
+
+@njit(cache=True, fastmath=True)
+def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows):
+    """Evaluate the similarity form's three rows for each sample and each orbit of points.
+
+    Parameters
+    ----------
+    sample_rc : ndarray of shape (S, 2), int64
+        Offsets of the samples from the centre.
+    weight : ndarray of shape (S, 2), float64
+        Square roots of the weights of the window mean and of the detail.
+    members : ndarray of shape (m, g, 2), int64
+        Offsets of each orbit's points.
+    share : ndarray of shape (m,), float64
+        Value that each listed member carries for a unit value of the orbit: below 1 where members repeat.
+    mean_table, detail_table : ndarray of shape (R, R), float64
+        Window mean and detail filter of the lattice Green's function, by absolute row and column distance.
+    rows : ndarray of shape (3 * S, m), float64
+        Receives for each sample the window mean and the detail's forward differences along columns and rows.
+    """
+    n_members = members.shape[1]
+    for s in range(sample_rc.shape[0]):
+        for orbit in range(members.shape[0]):
+            mean = 0.0
+            along_row = 0.0
+            along_column = 0.0
+            for k in range(n_members):
+                dr = sample_rc[s, 0] - members[orbit, k, 0]
+                dc = sample_rc[s, 1] - members[orbit, k, 1]
+                r = abs(dr)
+                c = abs(dc)
+                mean += mean_table[r, c]
+                here = detail_table[r, c]
+                along_row += detail_table[r, abs(dc + 1)] - here
+                along_column += detail_table[abs(dr + 1), c] - here
+            rows[3 * s, orbit] = weight[s, 0] * share[orbit] * mean
+            rows[3 * s + 1, orbit] = weight[s, 1] * share[orbit] * along_row
+            rows[3 * s + 2, orbit] = weight[s, 1] * share[orbit] * along_column

@@ -62,7 +62,7 @@ class Equations:
     def free_inverse(self) -> FloatArray:
         """Return ``Z (Z' A Z)^-1 Z'``, Z spanning the free subspace: how the minimum answers to a change of b."""
         n_points = len(self.rhs)
-        projected = _project(self.gram, self.basis)
+        projected = project(self.gram, self.basis)
         scale = float(np.trace(projected)) / n_points + np.finfo(np.float64).tiny
         projected[np.diag_indices(n_points)] += RIDGE * scale
         # On the span of Q any positive definite stand-in will do; it is taken off again.
@@ -71,7 +71,7 @@ class Equations:
             raise InvalidParameterError("the points' equations are singular; are two points the same?")
         inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1)
         inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        return _project(np.asarray(inverse), self.basis)
+        return project(np.asarray(inverse), self.basis)
 
     def solve(self, inverse: FloatArray) -> FloatArray:
         """Return the values (n, C) at the minimum, given `free_inverse`."""
@@ -178,7 +178,7 @@ def _powers(coordinate: FloatArray) -> FloatArray:
     return np.stack([coordinate[..., 0] ** a * coordinate[..., 1] ** b for a, b in MOMENT_EXPONENTS])
 
 
-def _project(matrix: FloatArray, basis: FloatArray) -> FloatArray:
+def project(matrix: FloatArray, basis: FloatArray) -> FloatArray:
     """Restrict a symmetric matrix to the complement of the basis from both sides."""
     along = matrix @ basis
     crossed = along @ basis.T

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from runtime.border import extended_radiance, outside_distance
 from runtime.splat import PointTable, SplatPass
-from runtime.variant import Variant, variant_points
+from runtime.variant import SHARP, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.frame import Layer
@@ -22,6 +23,8 @@ DensePsf = Callable[[int, int, float], npt.NDArray[np.float64]]
 
 SCALE_STEPS_PER_OCTAVE = 16
 """Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
+SHARP_EXTENT = 0.5
+"""A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 
@@ -46,10 +49,28 @@ class Labels(NamedTuple):
 
 @dataclass
 class Plan:
-    """What one layer needs: passes of labelled pixels, the points of the variants in use, and what was left out."""
+    """What one layer needs.
+
+    Attributes
+    ----------
+    passes : list of SplatPass
+        The labelled pixels to draw, those that continue the frame beyond its border included.
+    table : PointTable
+        The points of the variants in use.
+    border : int
+        Pixels by which the passes exceed the frame on each side.
+    padding : int
+        Pixels that the splats need around the frame on each side.
+    cells_used : set of int
+    pixels_skipped : int
+        Pixels of the frame that contribute nothing.
+    left_out : list of str
+        What this layer does not need.
+    """
 
     passes: list[SplatPass]
     table: PointTable
+    border: int
     padding: int
     cells_used: set[int]
     pixels_skipped: int
@@ -99,16 +120,23 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: Dens
     """
     visible = np.asarray(layer.radiance.any(axis=2))
     coordinate, scale_step = _in_range(_coordinates(labels, database.grid), database.grid, visible)
-    key = _variant_key(coordinate[visible], scale_step[visible], labels.path[visible], database.grid)
-    used, inverse = np.unique(key, return_inverse=True)
+    key = _variant_key(coordinate, scale_step, labels, database.grid)
+    used, inverse = np.unique(key[visible], return_inverse=True)
     variants = [_decode(int(value)) for value in used]
     table = _point_table([variant_points(variant, database, dense_psf) for variant in variants], database.n_channels)
     index = np.full(visible.shape, -1, np.int32)
     index[visible] = inverse
-    passes = list(_passes(layer.radiance, index, labels.shift, visible))
-    reach = table.reach() + max((int(np.abs(source.shift).max()) for source in passes), default=0)
-    skipped = int(visible.size - visible.sum())
-    plan = Plan(passes, table, reach, {variant.cell for variant in variants}, skipped)
+    source, border = _extended(layer.radiance, index, labels.shift, table)
+    passes = list(_passes(*source))
+    moved = max((int(np.abs(each.shift[each.variant >= 0]).max(initial=0)) for each in passes), default=0)
+    plan = Plan(
+        passes=passes,
+        table=table,
+        border=border,
+        padding=border + table.reach() + moved,
+        cells_used={variant.cell for variant in variants if variant != SHARP},
+        pixels_skipped=int(visible.size - visible.sum()),
+    )
     plan.left_out = _left_out(plan, labels, visible)
     return plan
 
@@ -149,19 +177,38 @@ def _in_range(
 
 
 def _variant_key(
-    coordinate: npt.NDArray[np.float64],
-    scale_step: npt.NDArray[np.int64],
-    path: npt.NDArray[np.float32],
-    grid: PsfGrid,
+    coordinate: npt.NDArray[np.float64], scale_step: npt.NDArray[np.int64], labels: Labels, grid: PsfGrid
 ) -> npt.NDArray[np.int64]:
-    """Pack cell, direction, orientation and scale of each pixel into one integer."""
+    """Pack cell, direction, orientation and scale of each pixel into one integer; -1 is a PSF within one pixel."""
     cell = grid.find(coordinate)
-    direction, transpose, flip_row, flip_col = grid.nearest_direction(cell, np.arctan2(path[..., 1], path[..., 0]))
+    angle = np.arctan2(labels.path[..., 1], labels.path[..., 0])
+    direction, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle)
     orientation = transpose.astype(np.int64) | flip_row.astype(np.int64) << 1 | flip_col.astype(np.int64) << 2
-    return ((cell << 16 | direction) << 3 | orientation) << 12 | scale_step
+    key = ((cell << 16 | direction) << 3 | orientation) << 12 | scale_step
+    extent = np.abs(labels.coc) + 0.5 * np.hypot(labels.path[..., 0], labels.path[..., 1])
+    return np.where(extent <= SHARP_EXTENT, -1, key)
+
+
+def _extended(
+    radiance: npt.NDArray[np.float32],
+    variant: npt.NDArray[np.int32],
+    shift: npt.NDArray[np.float32],
+    table: PointTable,
+) -> tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32], npt.NDArray[np.float32]], int]:
+    """Continue a layer beyond its border: labels repeat, as far as their PSFs reach back into the frame."""
+    reach = np.append(table.reaches(), 0)[variant] + np.ceil(np.abs(shift).max(axis=2)).astype(np.int64)
+    border = int(max(reach[0].max(), reach[-1].max(), reach[:, 0].max(), reach[:, -1].max()))
+    around = ((border, border), (border, border))
+    extended = np.pad(variant, around, mode="edge")
+    out_of_reach = outside_distance(variant.shape, border) > np.pad(reach, around, mode="edge")
+    colour = extended_radiance(radiance, border)
+    extended[out_of_reach | ~colour.any(axis=2)] = -1
+    return (colour, extended, np.pad(shift, (*around, (0, 0)), mode="edge")), border
 
 
 def _decode(key: int) -> Variant:
+    if key < 0:
+        return SHARP
     orientation = key >> 12 & 7
     return Variant(
         cell=key >> 31,
@@ -190,11 +237,10 @@ def _passes(
     radiance: npt.NDArray[np.float32],
     variant: npt.NDArray[np.int32],
     shift: npt.NDArray[np.float32],
-    visible: npt.NDArray[np.bool_],
 ) -> Iterator[SplatPass]:
     """Split a layer by the fractional part of its shifts: one pass if there is none, up to four corners else."""
     steps = np.rint(shift[..., ::-1].astype(np.float64) * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
-    steps[~visible] = 0
+    steps[variant < 0] = 0
     whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
     share = fraction / SHIFT_STEPS_PER_PIXEL
     for corner_row in (0, 1):

@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime.composite import over, reweight
-from runtime.convolution_pyramid import integrate
+from runtime.convolution_pyramid import METHODS, integrate
 from runtime.plan import DensePsf, Plan, label_pixels, plan_layer
 from runtime.splat import splat
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
+from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame, Layer
 
 DEFAULT_INTEGRATOR = "exact"
@@ -101,6 +102,8 @@ def synthesize(
     -----
     LKS section 6.
     """
+    if integrator not in METHODS:
+        raise InvalidParameterError(f"integrator {integrator!r} is unknown: allowed are {', '.join(METHODS)}")
     clock = clock or Clock()
     composite: Image | None = None
     plans = []
@@ -125,15 +128,16 @@ def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Im
     if not plan.table.direct.all():
         with clock.step("splat"):
             for source in plan.passes:
-                splat(padded, source, plan.table, padding, ~plan.table.direct)
+                splat(padded, source, plan.table, padding - plan.border, ~plan.table.direct)
         with clock.step("integrate"):
             padded = integrate(padded, integrator)
     if plan.table.direct.any():
         with clock.step("splat"):
             for source in plan.passes:
-                splat(padded, source, plan.table, padding, plan.table.direct)
+                splat(padded, source, plan.table, padding - plan.border, plan.table.direct)
     with clock.step("composite"):
-        return reweight(padded, layer.radiance, padding)
+        inside = padded[padding : padding + height, padding : padding + width].copy()
+        return reweight(inside, opaque=bool((layer.radiance[..., 3] == 1.0).all()))
 
 
 def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, Any]:

@@ -38,9 +38,15 @@ class PointTable(NamedTuple):
         """Number of points of each variant, shape (n_variants,)."""
         return np.diff(self.point_start)
 
+    def reaches(self) -> npt.NDArray[np.int64]:
+        """Return the largest distance, in rows or columns, from a splat's centre to a point of each variant, px."""
+        if not len(self.direct):
+            return np.zeros(0, np.int64)
+        return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
+
     def reach(self) -> int:
-        """Return the largest distance, in rows or columns, from a splat's centre to a point of any variant, px."""
-        return int(np.abs(self.offset_rc).max(initial=0))
+        """Return the largest of the `reaches`."""
+        return int(self.reaches().max(initial=0))
 
 
 class SplatPass(NamedTuple):
@@ -69,7 +75,7 @@ def splat(
     Parameters
     ----------
     image : ndarray of shape (H + 2 padding, W + 2 padding, 4), float32
-        Laplacian or direct image; pixel (0, 0) of the pass lies at (padding, padding).
+        Laplacian or direct image; pixel (0, 0) of the pass, of shape (H, W), lies at (padding, padding).
     source : SplatPass
         The pixels; every splat must lie within the padded image.
     table : PointTable

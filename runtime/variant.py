@@ -29,10 +29,16 @@ class Variant(NamedTuple):
     scale: float
 
 
+SHARP = Variant(-1, 0, False, False, False, 1.0)
+"""The PSF that stays within its pixel: of no cell, a single direct point."""
+
+
 def variant_points(
     variant: Variant, database: Database, dense_psf: Callable[[int, int, float], npt.NDArray[np.float64]] | None
 ) -> Points:
     """Return a variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
+    if variant == SHARP:
+        return np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
     if dense_psf is not None:
         spreadlet = _dense_points(dense_psf(variant.cell, variant.direction, variant.scale))
     else:

@@ -6,7 +6,8 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -78,8 +79,12 @@ def info(database: str, as_json: bool) -> None:
 @click.option("--integrator", help="Poisson solver: exact, pyramid-f5 or pyramid-f7.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
+@click.option("--colour-layer", help="Name of the colour layer, if there are several.")
 @click.option("--depth-channel", help="Name of the depth channel, if it is not recognised.")
+@click.option("--depth-convention", default="planar", show_default=True, help="planar (metres) or inverse (1/metres).")
 @click.option("--motion-channels", help="Names of the motion channels, separated by commas.")
+@click.option("--motion-convention", help="blender, forward-px, backward-px, curved-px or nuke-forward.")
+@click.option("--repair", is_flag=True, help="Drop pixels with invalid values instead of refusing the frame.")
 @click.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image.")
 @json_option
 def synth(
@@ -88,11 +93,13 @@ def synth(
     camera_path: str,
     no_defocus: bool,
     no_motion: bool,
-    depth_channel: str | None,
-    motion_channels: str | None,
+    database: str | None,
+    method: str,
+    integrator: str | None,
     reference: str | None,
+    motion_channels: str | None,
     as_json: bool,
-    **options: Any,
+    **channels: Any,
 ) -> None:
     """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
 
@@ -108,19 +115,22 @@ def synth(
     clock = Clock()
     with clock.step("read"):
         camera = read_camera(camera_path)
-        channels = motion_channels.split(",") if motion_channels else None
-        frame = exr.read_frame(list(frames), depth_channel=depth_channel, motion_channels=channels)
+        names = motion_channels.split(",") if motion_channels else None
+        frame = exr.read_frame(list(frames), motion_channels=names, **channels)
         truth = exr.read_image(reference) if reference else None
     image, report = synthesize(
         frame,
         camera,
-        options.pop("database"),
+        database,
+        method=method,
+        integrator=integrator,
         defocus=not no_defocus,
         motion=not no_motion,
         report=True,
         clock=clock,
-        **options,
     )
+    if frame.dropped_pixels:
+        warnings.warn(f"{frame.dropped_pixels} invalid pixels were dropped", stacklevel=1)
     figures = metrics.compare(image, truth) if truth is not None else {}
     with clock.step("write"):
         exr.write_image(output, image)
@@ -156,26 +166,26 @@ def demo(output: str, as_json: bool) -> None:
     _print(run_demo(output), as_json)
 
 
-class _progress:
-    """A progress bar with an estimate on standard error, or nothing where it is not a terminal's place to show one."""
+@contextmanager
+def _progress(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar with an estimate on standard error, from the first report of progress on."""
+    from rich import progress as bar
+    from rich.console import Console
 
-    def __init__(self, title: str, *, quiet: bool) -> None:
-        self._title = title
-        self._quiet = quiet
+    columns = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
+    times = bar.TimeElapsedColumn(), bar.TextColumn("left"), bar.TimeRemainingColumn()
+    shown = bar.Progress(*columns, *times, console=Console(stderr=True), disable=quiet)
+    task = shown.add_task(title, total=None)
 
-    def __enter__(self) -> Callable[[int, int], None] | None:
-        from rich import progress as bar
-        from rich.console import Console
+    def report(done: int, total: int) -> None:
+        shown.start()
+        shown.update(task, completed=done, total=total)
 
-        columns = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
-        times = bar.TimeElapsedColumn(), bar.TextColumn("left"), bar.TimeRemainingColumn()
-        self._bar = bar.Progress(*columns, *times, console=Console(stderr=True), disable=self._quiet)
-        task = self._bar.add_task(self._title, total=None)
-        self._bar.start()
-        return lambda done, total: self._bar.update(task, completed=done, total=total)
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
+    try:
+        yield report
+    finally:
+        if shown.live.is_started:
+            shown.stop()
 
 
 def _print(figures: dict[str, Any], as_json: bool) -> None:

@@ -77,6 +77,7 @@ def _write_header(file: h5py.File, grid: PsfGrid, provenance: Mapping[str, Any])
     file.attrs["shape"] = np.asarray(grid.shape, dtype=np.int64)
     file.attrs["maximum"] = np.asarray([axis.maximum for axis in grid.model.axes], dtype=np.float64)
     file.attrs["power"] = np.asarray([axis.power for axis in grid.model.axes], dtype=np.float64)
+    file.attrs["direction_step_px"] = grid.direction_step_px
     file.attrs["provenance"] = json.dumps(dict(provenance), sort_keys=True)
 
 
@@ -129,6 +130,8 @@ class Database:
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = _read_provenance(file)
         self.cell_start = _read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS)
+        if not np.array_equal(np.diff(self.cell_start), self.grid.direction_counts):
+            raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
         n_spreadlets = int(self.cell_start[-1])
         self.point_start = _read_starts(file, "point_start", n_spreadlets, MAX_POINTS)
         self.direction = _read_table(file, "direction", (n_spreadlets,), np.float64)
@@ -293,7 +296,7 @@ def _read_grid(file: h5py.File) -> PsfGrid:
         replace(axis, maximum=float(maximum), power=float(power))
         for axis, (maximum, power) in zip(model.axes, ranges, strict=True)
     ]
-    return PsfGrid(replace(model, axes=tuple(axes)), shape)
+    return PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
 
 
 def _read_provenance(file: h5py.File) -> dict[str, Any]:

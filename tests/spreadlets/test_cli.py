@@ -12,7 +12,7 @@ from spreadlets.frame import Frame
 CAMERA = {
     "focal_length_mm": 50.0,
     "sensor_width_mm": 36.0,
-    "f_number": 1.0,
+    "f_number": 0.01,
     "focus_distance_m": 4.0,
     "shutter_open_close_frames": [-0.25, 0.25],
 }
@@ -70,6 +70,19 @@ def test_switches_reach_the_result(run, scene, small_combined_path):
         images[name] = exr.read_image(scene / "out.exr")
     assert not np.allclose(images["--no-defocus"], images["--json"], atol=1e-3)
     assert not np.allclose(images["--no-motion"], images["--json"], atol=1e-3)
+
+
+def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
+    frame = exr.read_frame(scene / "frame.exr")
+    depth = frame.depth.copy()
+    depth[3, 4:6] = -1.0
+    import OpenEXR
+
+    channels = dict(zip("RGB", np.moveaxis(frame.radiance[..., :3], -1, 0).copy(), strict=True)) | {"Z": depth}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(scene / "frame.exr"))
+    assert run(*synth_arguments(scene, small_combined_path))[0] == 2
+    status, _, err = run(*synth_arguments(scene, small_combined_path), "--repair")
+    assert status == 0 and "2 invalid pixels were dropped" in err
 
 
 def test_several_frames_are_layers(run, scene, small_combined_path):
@@ -132,7 +145,7 @@ BAD_INPUT = [
     (with_frame(Z=-1.0), "depth"),
     (with_frame(Z=float("nan")), "depth"),
     (with_frame(R=float("nan")), "radiance"),
-    (with_frame(G=None), "G"),
+    (with_frame(G=None), "colour channels"),
     (lambda scene: (scene / "frame.exr").write_bytes(b"not an image"), "frame.exr"),
     (lambda scene: (scene / "frame.exr").unlink(), "frame.exr"),
     (lambda scene: (scene / "camera.json").write_text("{"), "camera.json"),
@@ -175,7 +188,7 @@ def test_every_command_shows_an_example(run):
 
 
 def test_a_warning_goes_to_standard_error(run, scene, small_combined_path):
-    (scene / "camera.json").write_text(json.dumps(CAMERA | {"f_number": 0.02}))
+    (scene / "camera.json").write_text(json.dumps(CAMERA | {"f_number": 0.001}))
     status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
     assert status == 0 and json.loads(out)
     assert err.startswith("warning: ") and "beyond the database's range" in err

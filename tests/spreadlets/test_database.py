@@ -110,6 +110,10 @@ def shrink_shape(file):
     file.attrs["shape"] = [2, 2]
 
 
+def widen_step(file):
+    file.attrs["direction_step_px"] = 9.0
+
+
 def rename_model(file):
     file.attrs["model"] = "telescope"
 
@@ -129,6 +133,7 @@ def unmark(file):
         (drop_values, "dataset 'value' is missing"),
         (swap_starts, "'point_start' is not a list of rising starts"),
         (shrink_shape, "cell_start"),
+        (widen_step, "directions stored for the cells"),
         (rename_model, "telescope"),
         (spoil_provenance, "malformed"),
         (unmark, "not a spreadlet database"),

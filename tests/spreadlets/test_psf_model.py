@@ -84,7 +84,8 @@ def test_directions_keep_the_tip_within_half_a_step(step_px):
             continue
         assert nodes[0] == 0.0 and nodes[-1] == OCTANT
         np.testing.assert_allclose(np.diff(nodes), grid.direction_half_width(cell))
-        assert grid.direction_half_width(cell) / 2 * longest / 2 <= step_px / 2 * (1 + 1e-12)
+        softness = np.diff(grid.box(cell)[0])[0] / 2
+        assert grid.direction_half_width(cell) / 2 * longest / 2 <= max(step_px, softness) / 2 * (1 + 1e-12)
 
 
 def test_short_motion_needs_one_direction():
