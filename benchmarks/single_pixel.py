@@ -19,7 +19,9 @@ from reference import capsule_psf, disc_coverage  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SIZE = 321
-CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.002, focus_distance_m=4.0, shutter=(-0.25, 0.25))
+CAMERA = sp.ThinLens(
+    focal_length_mm=50, sensor_width_mm=36, f_number=0.002, focus_distance_m=4.0, shutter=(-0.25, 0.25)
+)
 
 
 def spot_frame(place: tuple[int, int], coc: float, path: np.ndarray) -> sp.Frame:
@@ -67,7 +69,9 @@ def main() -> None:
             frame = spot_frame(place, coc * rng.choice([-1, 1]), path)
             image = sp.synthesize(frame, CAMERA, database)[..., 0].astype(np.float64)
             difference = moments(image) - moments(expected(place, coc, length, angle))
-            errors[at_border].append(np.abs([difference[0] / moments(expected(place, coc, length, angle))[0], *difference[1:]]))
+            errors[at_border].append(
+                np.abs([difference[0] / moments(expected(place, coc, length, angle))[0], *difference[1:]])
+            )
     lines = [f"{'':>12}{'pixels':>8}{'energy mean':>14}{'worst':>10}{'centroid mean px':>18}{'worst':>10}"]
     for at_border, rows in errors.items():
         energy, centroid = np.array(rows)[:, 0], np.array(rows)[:, 1:].max(axis=1)

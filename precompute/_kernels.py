@@ -1,4 +1,4 @@
-"""Compiled loops of the classic sparsification stages: dart throwing, Voronoi assignment, incremental solving."""
+"""Compiled loops of sparsification: dart throwing, Voronoi assignment, the similarity form's rows, point solutions."""
 
 from __future__ import annotations
 
@@ -105,28 +105,33 @@ def nearest_points(pixel_rc, point_rc, owner):
 
 
 @njit(cache=True, fastmath=True)
-def add_green(image, quarter, point_rc, change):
+def add_green(planes, quarter, point_rc, value):
     """Add the free-space solution of some points to an image, in place.
 
     Parameters
     ----------
-    image : ndarray of shape (H, W, C), float64
+    planes : ndarray of shape (C, H, W), float64
         The solution to update.
     quarter : ndarray of shape (R, R), float64
         Lattice Green's function by absolute row and column distance; R at least max(H, W).
     point_rc : ndarray of shape (n, 2), int64
         Points inside the image.
-    change : ndarray of shape (n, C), float64
+    value : ndarray of shape (n, C), float64
         Values to add at the points.
     """
-    height, width, n_channels = image.shape
-    for j in range(point_rc.shape[0]):
+    n_channels, height, width = planes.shape
+    for k in range(n_channels):
         for r in range(height):
-            line = quarter[abs(r - point_rc[j, 0])]
-            for c in range(width):
-                green = line[abs(c - point_rc[j, 1])]
-                for k in range(n_channels):
-                    image[r, c, k] += green * change[j, k]
+            line = planes[k, r]
+            for j in range(point_rc.shape[0]):
+                green = quarter[abs(r - point_rc[j, 0])]
+                column = point_rc[j, 1]
+                weight = value[j, k]
+                # Two loops without a case distinction, which the compiler turns into vector code.
+                for c in range(column):
+                    line[c] += weight * green[column - c]
+                for c in range(column, width):
+                    line[c] += weight * green[c - column]
 
 
 @njit(cache=True, fastmath=True)

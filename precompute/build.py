@@ -7,7 +7,8 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 import joblib
 import numba
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
@@ -43,23 +45,36 @@ class CellTask(NamedTuple):
 
 def build_cell(task: CellTask) -> list[CellRecord]:
     """Trace and sparsify one cell in each of its directions; the result depends on the task alone."""
+    with _single_threaded():
+        return [_build_record(task, number) for number in range(len(task.grid.directions(task.cell)))]
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Keep kernels and linear algebra on one thread: cells run side by side, and no sum depends on a thread count."""
+    threads = numba.get_num_threads()
     numba.set_num_threads(1)
-    directions = task.grid.directions(task.cell)
-    half_width = task.grid.direction_half_width(task.cell)
-    records = []
-    for number, direction in enumerate(directions):
-        seed = int(np.random.SeedSequence((task.seed, task.cell, number)).generate_state(1)[0])
-        psf = trace_psf(
-            task.grid.model,
-            task.grid.box(task.cell),
-            direction=float(direction),
-            direction_half_width=half_width,
-            rays=task.rays,
-            seed=seed,
-        )
-        spreadlet, statistics = sparsify(psf, density=task.density, seed=seed)
-        records.append(CellRecord(float(direction), spreadlet, statistics))
-    return records
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        numba.set_num_threads(threads)
+
+
+def _build_record(task: CellTask, number: int) -> CellRecord:
+    """Trace and sparsify one direction of a cell."""
+    direction = float(task.grid.directions(task.cell)[number])
+    seed = int(np.random.SeedSequence((task.seed, task.cell, number)).generate_state(1)[0])
+    psf = trace_psf(
+        task.grid.model,
+        task.grid.box(task.cell),
+        direction=direction,
+        direction_half_width=task.grid.direction_half_width(task.cell),
+        rays=task.rays,
+        seed=seed,
+    )
+    spreadlet, statistics = sparsify(psf, density=task.density, seed=seed)
+    return CellRecord(direction, spreadlet, statistics)
 
 
 def build_database(

@@ -59,16 +59,19 @@ def eliminate(equations: Equations, size: IntArray, price: float, limit: float) 
         inverse = left.free_inverse()
         value = left.solve(inverse)
         bound = min(bound, left.objective(value) + limit)
-        kept = _eliminate_run(inverse, value, size[index], price, bound - left.objective(value))
+        # As many points as constraints have no freedom left.
+        floor = max(left.basis.shape[1], int(REFRESH_FRACTION * len(index)))
+        kept = _eliminate_run(inverse, value, size[index], price, bound - left.objective(value), floor)
         if len(kept) == len(index):
             return index, value
         index = index[kept]
 
 
-def _eliminate_run(inverse: FloatArray, value: FloatArray, size: IntArray, price: float, budget: float) -> IntArray:
-    """Drop points until none is worth dropping or the inverse needs a refresh; return the indices of those left."""
+def _eliminate_run(
+    inverse: FloatArray, value: FloatArray, size: IntArray, price: float, budget: float, floor: int
+) -> IntArray:
+    """Drop points until none is worth dropping or few enough are left; return the indices of those left."""
     index = np.arange(len(size))
-    floor = REFRESH_FRACTION * len(size)
     while len(index) > floor:
         spread = np.diag(inverse)
         # Rounding may leave a diagonal at or below zero where the constraints alone fix a value: never drop those.

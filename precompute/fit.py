@@ -26,8 +26,15 @@ RIDGE = 1e-9
 RANK_TOLERANCE = 1e-9
 """Singular values of the constraints below this fraction of the largest count as dependent."""
 
+ROUNDING = 1e-11
+"""Error of the quadratic form, relative to its largest entry."""
+
 FEASIBILITY_TOLERANCE = 1e-7
 """Largest relative violation of the constraints that points which cannot meet them may leave."""
+
+
+QUANTUM_BITS = 22
+"""Values are rounded to the largest one's power of two divided by 2 to this power: float32's precision, less slack."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +70,9 @@ class Equations:
         """Return ``Z (Z' A Z)^-1 Z'``, Z spanning the free subspace: how the minimum answers to a change of b."""
         n_points = len(self.rhs)
         projected = project(self.gram, self.basis)
-        scale = float(np.trace(projected)) / n_points + np.finfo(np.float64).tiny
-        projected[np.diag_indices(n_points)] += RIDGE * scale
+        rounding = ROUNDING * float(np.abs(self.gram).max())
+        scale = max(float(np.trace(projected)) / n_points, rounding)
+        projected[np.diag_indices(n_points)] += RIDGE * scale + rounding
         # On the span of Q any positive definite stand-in will do; it is taken off again.
         factor, failure = scipy.linalg.lapack.dpotrf(projected + scale * self.basis @ self.basis.T, lower=1)
         if failure:
@@ -110,6 +118,37 @@ def fit_values(psf: FloatArray, offset_rc: IntArray) -> FloatArray:
     """
     equations = biharmonic_equations(psf, offset_rc)
     return equations.solve(equations.free_inverse())
+
+
+def quantise(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float32]:
+    """Round values to float32 such that each channel's sum is exactly zero and its energy nearly kept.
+
+    A rest of the sum, however small, would give the solution a logarithmic tail over the whole image.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n, 2), int64
+        Offsets from the centre.
+    value : ndarray of shape (n, C), float64
+        Values whose sums vanish but for rounding.
+
+    Returns
+    -------
+    ndarray of shape (n, C), float32
+        Multiples of a power of two per channel; the points nearest to and farthest from the centre take up what
+        rounding left of the sum and of the second moment.
+    """
+    largest = np.abs(value).max(axis=0)
+    step = np.exp2(np.ceil(np.log2(np.maximum(largest, np.finfo(np.float32).tiny))) - QUANTUM_BITS)
+    units = np.rint(value / step)
+    square = (offset_rc**2).sum(axis=1)
+    near, far = np.argmin(square), np.argmax(square)
+    units[near] -= units.sum(axis=0)
+    if square[far] > square[near]:
+        excess = np.rint(square @ (units - value / step) / (square[far] - square[near]))
+        units[far] -= excess
+        units[near] += excess
+    return np.asarray(units * step, dtype=np.float32)
 
 
 def biharmonic_equations(psf: FloatArray, offset_rc: IntArray) -> Equations:

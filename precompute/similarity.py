@@ -24,8 +24,8 @@ from scipy.signal import fftconvolve
 
 from precompute import _kernels
 from precompute.fit import Equations, moment_constraints, orthonormal_constraints, project
-from precompute.symmetry import Symmetry, transform_offsets
-from spreadlets.laplacian import lattice_green
+from precompute.green import green_table
+from precompute.symmetry import Symmetry, representatives
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -46,9 +46,6 @@ STRIDES = ((1, 0.0), (2, 3.0), (4, 8.0), (8, 20.0))
 
 CHUNK = 2048
 """Samples whose rows are held at a time; they stay in the cache between their making and their product."""
-
-TABLE_STEP = 64
-"""Tables are made for multiples of this radius, px, so that similar PSFs share them."""
 
 MAX_SAMPLES = 6000
 """More samples than this, in the largest PSFs, are thinned evenly: three rows each stay far more than the unknowns."""
@@ -94,11 +91,11 @@ def detail_filter() -> FloatArray:
     return np.asarray(kernel * (spectrum[0, 0] / kernel.sum()))
 
 
-@lru_cache(maxsize=2)
-def _tables(radius: int) -> tuple[FloatArray, FloatArray]:
-    """Tabulate the window mean and the detail of the lattice Green's function up to a radius, by absolute distance."""
+@lru_cache(maxsize=4)
+def _tables(size: int) -> tuple[FloatArray, FloatArray]:
+    """Filter the table of the lattice Green's function of a size by the window and by the detail filter."""
     margin = max(WINDOW_RADIUS, DETAIL_RADIUS)
-    quarter = lattice_green(radius + margin)
+    quarter = green_table(size - 1)
     half = np.concatenate([quarter[margin:0:-1], quarter])
     mirrored = np.concatenate([half[:, margin:0:-1], half], axis=1)
     taps, inner = window(), slice(margin, -margin)
@@ -130,9 +127,7 @@ def similarity_weights(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mean_weight, _blur(detail_weight)
 
 
-def similarity_equations(
-    psf: FloatArray, members: IntArray, size: IntArray, group: tuple[Symmetry, ...]
-) -> Equations:
+def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, group: tuple[Symmetry, ...]) -> Equations:
     """Build the least-squares problem of the orbits' values in the similarity form.
 
     Parameters
@@ -156,16 +151,16 @@ def similarity_equations(
     matrix = matrix.reshape(len(matrix), *members.shape[:2]).sum(axis=2) * share
     basis, fixed = orthonormal_constraints(matrix, target)
     samples = _choose_samples(psf, members, group)
-    reach = int(np.abs(samples.offset_rc).max()) + int(np.abs(members).max()) + 2
-    tables = _tables(-(-reach // TABLE_STEP) * TABLE_STEP)
+    reach = int(np.abs(samples.offset_rc).max()) + int(np.abs(members).max()) + 1
+    tables = _tables(len(green_table(reach + max(WINDOW_RADIUS, DETAIL_RADIUS))))
     gram = np.zeros((len(members), len(members)), order="F")
     rhs = np.zeros((len(members), psf.shape[2]))
     particular, constant = basis @ fixed, 0.0
     for begin in range(0, len(samples.offset_rc), CHUNK):
-        part = Samples(*(array[begin : begin + CHUNK] for array in samples))
-        rows = np.empty((3 * len(part.offset_rc), len(members)))
-        _kernels.fill_rows(part.offset_rc, part.weight, members, share, *tables, rows)
-        residual = part.target.reshape(-1, psf.shape[2]) - rows @ particular
+        part = slice(begin, begin + CHUNK)
+        rows = np.empty((3 * len(samples.offset_rc[part]), len(members)))
+        _kernels.fill_rows(samples.offset_rc[part], samples.weight[part], members, share, *tables, rows)
+        residual = samples.target[part].reshape(-1, psf.shape[2]) - rows @ particular
         gram = scipy.linalg.blas.dsyrk(1.0, rows.T, beta=1.0, c=gram, overwrite_c=1)
         rhs += rows.T @ residual
         constant += float((residual**2).sum())
@@ -190,7 +185,7 @@ def _choose_samples(psf: FloatArray, members: IntArray, group: tuple[Symmetry, .
         offsets.append(picked)
         scaled.append(np.stack([stride**2 * w[picked[:, 0] + half[0], picked[:, 1] + half[1]] for w in spread], -1))
     offset, weight = np.concatenate(offsets), np.concatenate(scaled)
-    chosen, repeats = _representatives(offset, group)
+    chosen, repeats = representatives(offset, group)
     offset, weight = offset[chosen], weight[chosen] * repeats[:, None]
     kept = _thin(len(offset))
     offset, weight = offset[kept], np.sqrt(np.maximum(weight[kept], 0.0) * (len(offset) / len(kept)))
@@ -202,15 +197,6 @@ def _thin(count: int) -> IntArray:
     if count <= MAX_SAMPLES:
         return np.arange(count)
     return np.unique((np.arange(MAX_SAMPLES) * GOLDEN % 1.0 * count).astype(np.int64))
-
-
-def _representatives(offset_rc: IntArray, group: tuple[Symmetry, ...]) -> tuple[IntArray, FloatArray]:
-    """Return the indices of one of each set of symmetric offsets, and how many each stands for."""
-    images = np.stack([transform_offsets(offset_rc, symmetry) for symmetry in group], axis=1)
-    reach = int(np.abs(images).max(initial=0)) + 1
-    key = (images[..., 0] * (2 * reach) + images[..., 1]).min(axis=1)
-    _, chosen, repeats = np.unique(key, return_index=True, return_counts=True)
-    return chosen, repeats.astype(np.float64)
 
 
 def _targets(psf: FloatArray, pixel_rc: IntArray, weight: FloatArray) -> FloatArray:

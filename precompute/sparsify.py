@@ -1,4 +1,9 @@
-"""The chain from a dense PSF to its spreadlet."""
+"""The chain from a dense PSF to its spreadlet: candidates, elimination, fit, measurement.
+
+Far more candidate points than needed are fitted to the PSF at once, in a quadratic form that stands for structural
+dissimilarity, and the least useful are dropped until dropping more would cost more similarity than the sparsity is
+worth. A PSF that needs nearly as many points as it has pixels is kept as pixels instead.
+"""
 
 from __future__ import annotations
 
@@ -10,40 +15,44 @@ from scipy.ndimage import gaussian_filter
 
 from precompute.dart_throwing import throw_darts
 from precompute.elimination import eliminate
+from precompute.fit import quantise
+from precompute.green import reconstruct
 from precompute.similarity import similarity_equations
-from precompute.symmetry import GROUPS, Symmetry, find_group, orbits, symmetrise, transform_offsets
+from precompute.symmetry import Symmetry, expand, find_group, orbits, representatives, symmetrise
 from spreadlets.errors import InvalidParameterError
-from spreadlets.laplacian import laplacian, solve_free_space
+from spreadlets.laplacian import laplacian
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
 from spreadlets.spreadlet import Spreadlet
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Result = tuple[Spreadlet, dict[str, float]]
 
-PRICE = 0.2
-"""Loss of similarity that is accepted for a sparsity lower by one, at density 1."""
+PRICE = 0.4
+"""Loss of similarity that is accepted, at density 1, for a sparsity that is lower by 1: dropping a point may cost
+this much divided by the number of pixels of the support. One price for all PSFs gives the best mean of each for the
+mean of the other."""
 
 PRICE_EXPONENT = 3.0
-"""Twice the density lowers the price by this power of two, which about doubles the points."""
+"""The price falls with this power of the density, so that twice the density about doubles the points."""
 
 WORST_LOSS = 0.03
-"""Loss of similarity, at density 1, beyond which no further point is dropped, whatever its price."""
+"""Loss of similarity, at density 1, beyond which no point is dropped at any price; it falls as the density grows."""
+
+SMOOTHING = 1.0
+"""Standard deviation, px, that keeps the tracing's noise out of the candidates."""
 
 CANDIDATE_THRESHOLD = 1e-3
-"""Pixels with a Laplacian above this fraction of its largest absolute value may become points."""
+"""Pixels whose smoothed Laplacian exceeds this fraction of its largest absolute value may become points."""
 
-MAX_ORBITS = 600
-"""Most unknowns to start from; among more candidates, dart throwing chooses."""
-
-FREE_ORBITS = 400
-SMOOTHING = 1.0
-IMPORTANCE_POWER = 1.0
+MAX_ORBITS = 800
+"""Most unknowns to start from; among more candidates, dart throwing chooses. The time grows with the third power."""
 
 DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2, 6e-2, 0.1, 0.2)
-"""Pixels of the PSF below one of these fractions of its peak are left out of a direct spreadlet."""
+"""Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
 
-def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> tuple[Spreadlet, dict[str, float]]:
+def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Result:
     """Turn a dense PSF into a spreadlet.
 
     Parameters
@@ -51,45 +60,43 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> tupl
     psf : array_like of shape (H, W, C) or (H, W)
         PSF, non-negative, centred on the middle pixel; H and W odd.
     density : float
-        Operating point: 0.5, 1 or 2 give about half, the usual number, and twice as many points (LKS Fig. 10 d).
+        Operating point: 0.5, 1 and 2 give about half, the usual number and twice as many points (LKS Fig. 10 d).
     seed : int
-        Of the choice of candidates.
+        Of the choice among too many candidates.
 
     Returns
     -------
     spreadlet : Spreadlet
-    statistics : dict
+        Its energy, and if it is not direct its moments up to the second order, are the PSF's.
+    statistics : dict of str to float
         ``n_points``; ``n_support``, pixels above 1e-4 of the peak; ``sparsity``, their ratio; ``ssim`` and ``l1`` of
-        the reconstruction; ``energy_error``, relative; ``max_value_ratio``, largest absolute value over that of the
-        Laplacian.
+        the reconstruction (`spreadlets.metrics`); ``energy_error``, relative; ``max_value_ratio``, the largest
+        absolute value over that of the dense PSF (if direct) or of its Laplacian.
 
     Raises
     ------
     InvalidParameterError
-        If the PSF is malformed or the density not positive.
+        If the PSF is malformed or the density is not above 0.
+
+    Notes
+    -----
+    Takes the place of LKS section 5.5; the direct track is LKS section 6.4.
     """
-    boxed = _on_box(_checked(psf))
     if not density > 0:
         raise InvalidParameterError(f"density must be above 0, not {density}")
+    boxed = _on_box(_checked(psf))
     price = PRICE * density**-PRICE_EXPONENT
-    try:
-        sparse = _sparse_spreadlet(boxed, density, seed)
-        best = sparse, _statistics(boxed, sparse)
-    except InvalidParameterError:
-        # Too few pixels for a Laplacian that meets the constraints.
-        best = _direct_candidate(boxed, 0.0)
+    best = _measured(boxed, _sparse_spreadlet(boxed, price, WORST_LOSS / density, seed))
     for threshold in DIRECT_THRESHOLDS:
-        loss = price * best[1]["sparsity"] + 1 - best[1]["ssim"]
-        if price * float((boxed > threshold * boxed.max()).any(axis=2).sum()) < loss * best[1]["n_support"]:
-            direct = _direct_candidate(boxed, threshold)
-            if price * direct[1]["sparsity"] + 1 - direct[1]["ssim"] < loss:
-                best = direct
+        n_pixels = int((boxed > threshold * boxed.max()).any(axis=2).sum())
+        if price * n_pixels / best[1]["n_support"] < _loss(best, price):
+            best = min(best, _measured(boxed, _direct_spreadlet(boxed, threshold)), key=lambda r: _loss(r, price))
     return best
 
 
-def _direct_candidate(psf: FloatArray, threshold: float) -> tuple[Spreadlet, dict[str, float]]:
-    direct = _direct_spreadlet(psf, threshold)
-    return direct, _statistics(psf, direct)
+def _loss(result: Result, price: float) -> float:
+    """Return what a spreadlet costs in similarity, its points included at the price."""
+    return 1.0 - result[1]["ssim"] + price * result[1]["sparsity"]
 
 
 def _checked(psf: npt.ArrayLike) -> FloatArray:
@@ -103,13 +110,13 @@ def _checked(psf: npt.ArrayLike) -> FloatArray:
 
 
 def _on_box(psf: FloatArray) -> FloatArray:
-    """Crop or pad a PSF, symmetrically, to the box in which its similarity is measured."""
-    rows, columns = np.nonzero((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2))
+    """Crop or pad a PSF, about its centre, to a box that holds the one in which its similarity is measured."""
     halves = []
-    for axis, occupied in enumerate((rows, columns)):
-        side = int(occupied.max() - occupied.min() + 1)
-        reach = int(np.abs(occupied - psf.shape[axis] // 2).max())
-        halves.append(reach + max(PSF_MARGIN_PX, math.ceil(PSF_MARGIN_FRACTION * side)))
+    for axis, occupied in enumerate(np.nonzero(_support(psf))):
+        centre = psf.shape[axis] // 2
+        side = int(occupied.max() - occupied.min()) + 1
+        margin = max(PSF_MARGIN_PX, math.ceil(PSF_MARGIN_FRACTION * side))
+        halves.append(int(np.abs(occupied - centre).max()) + margin)
     out = np.zeros((2 * halves[0] + 1, 2 * halves[1] + 1, psf.shape[2]))
     source, target = [], []
     for axis, half in enumerate(halves):
@@ -118,6 +125,10 @@ def _on_box(psf: FloatArray) -> FloatArray:
         target.append(slice(half - common, half + common + 1))
     out[tuple(target)] = psf[tuple(source)]
     return out
+
+
+def _support(psf: FloatArray) -> npt.NDArray[np.bool_]:
+    return np.asarray((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2))
 
 
 def _direct_spreadlet(psf: FloatArray, threshold: float) -> Spreadlet:
@@ -130,71 +141,53 @@ def _direct_spreadlet(psf: FloatArray, threshold: float) -> Spreadlet:
     return Spreadlet((pixel - half).astype(np.int16), value.astype(np.float32), direct=True)
 
 
-def _sparse_spreadlet(psf: FloatArray, density: float, seed: int) -> Spreadlet:
-    """Choose the points and values of the Laplacian."""
-    peak = psf.max()
-    importance = _importance(psf / peak)
-    group = _choose_group(find_group(psf), int((importance > 0).sum()))
+def _sparse_spreadlet(psf: FloatArray, price: float, limit: float, seed: int) -> Spreadlet:
+    """Choose the points of the Laplacian and fit their values."""
+    peak = float(psf.max())
+    group = find_group(psf)
     scaled = symmetrise(psf, group) / peak
-    members, size = orbits(_candidates(importance, group, seed), group)
+    members, size = orbits(_candidates(scaled, group, seed), group)
     equations = similarity_equations(scaled, members, size, group)
-    n_support = int((psf > PSF_SUPPORT_THRESHOLD * peak).any(axis=2).sum())
-    price = PRICE * density**-PRICE_EXPONENT / n_support
-    index, value = eliminate(equations, size, price, WORST_LOSS / density)
-    repeated = np.repeat(value, len(group), axis=0) * (size[index, None] / len(group)).repeat(len(group), axis=0)
-    offset, owner = np.unique(members[index].reshape(-1, 2), axis=0, return_inverse=True)
-    summed = np.zeros((len(offset), value.shape[1]))
-    np.add.at(summed, owner.ravel(), repeated)
-    return Spreadlet(offset.astype(np.int16), (summed * peak).astype(np.float32))
+    index, value = eliminate(equations, size, price / int(_support(psf).sum()), limit)
+    offset, spread_value = expand(members[index], size[index], value)
+    return Spreadlet(offset.astype(np.int16), quantise(offset, spread_value * peak))
 
 
-def _choose_group(group: tuple[Symmetry, ...], n_candidates: int) -> tuple[Symmetry, ...]:
-    """Return the smallest subgroup that keeps the unknowns few: fewer symmetries leave more choice."""
-    fitting = [sub for sub in GROUPS if set(sub) <= set(group)]
-    small = [sub for sub in fitting if n_candidates <= FREE_ORBITS * len(sub)]
-    return small[-1] if small else fitting[0]
-
-
-def _importance(psf: FloatArray) -> FloatArray:
-    """Return how much a pixel deserves a point: the Laplacian's absolute value, smoothed against the tracing's noise."""
+def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], seed: int) -> IntArray:
+    """Return offsets (n, 2) of pixels that may become points, one of each orbit, thinned if they are too many."""
     smooth = gaussian_filter(psf, SMOOTHING, axes=(0, 1), mode="constant")
     strength = np.abs(laplacian(smooth)[1:-1, 1:-1]).max(axis=2)
-    strength[strength < CANDIDATE_THRESHOLD * strength.max()] = 0.0
-    return np.asarray(strength)
-
-
-def _candidates(importance: FloatArray, group: tuple[Symmetry, ...], seed: int) -> IntArray:
-    """Return offsets of pixels that may become points, one of each orbit, thinned if they are too many."""
-    half = np.asarray(importance.shape) // 2
-    offset = np.argwhere(importance > 0) - half
-    images = np.stack([transform_offsets(offset, symmetry) for symmetry in group], axis=1)
-    key = images[..., 0] * (4 * half.max()) + images[..., 1]
-    offset = offset[key[:, 0] == key.min(axis=1)]
+    half = np.asarray(strength.shape) // 2
+    offset: IntArray = np.argwhere(strength > CANDIDATE_THRESHOLD * strength.max()) - half
+    offset = offset[representatives(offset, group)[0]]
     if len(offset) <= MAX_ORBITS:
         return offset
     row, column = (offset + half).T
-    once = np.zeros_like(importance)
-    once[row, column] = importance[row, column] ** IMPORTANCE_POWER
-    return throw_darts(once, MAX_ORBITS, np.random.default_rng(seed)) - half
+    importance = np.zeros_like(strength)
+    importance[row, column] = strength[row, column]
+    return np.asarray(throw_darts(importance, MAX_ORBITS, np.random.default_rng(seed)) - half)
 
 
-def _statistics(psf: FloatArray, spreadlet: Spreadlet) -> dict[str, float]:
+def _measured(psf: FloatArray, spreadlet: Spreadlet) -> Result:
     """Measure a spreadlet against the PSF on its box."""
-    half = np.asarray(psf.shape[:2]) // 2
-    image = np.zeros(psf.shape)
-    row, column = (spreadlet.offset_rc.astype(np.int64) + half).T
-    image[row, column] = spreadlet.value
-    dense = image if spreadlet.direct else solve_free_space(image)
-    n_support = int((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2).sum())
+    offset, value = spreadlet.offset_rc.astype(np.int64), spreadlet.value.astype(np.float64)
+    if spreadlet.direct:
+        dense = np.zeros_like(psf)
+        row, column = (offset + np.asarray(psf.shape[:2]) // 2).T
+        dense[row, column] = value
+    else:
+        dense = reconstruct(offset, value, psf.shape[:2])
     moments = spreadlet.moments()
     energy = moments[0] if spreadlet.direct else 0.25 * (moments[4] + moments[5])
-    largest = np.abs(psf if spreadlet.direct else laplacian(psf)).max()
-    return {
+    true_energy = psf.sum(axis=(0, 1))
+    largest = float(np.abs(psf if spreadlet.direct else laplacian(psf)).max())
+    n_support = int(_support(psf).sum())
+    return spreadlet, {
         "n_points": spreadlet.n_points,
         "n_support": n_support,
         "sparsity": spreadlet.n_points / n_support,
         "ssim": psf_similarity(psf, dense),
         "l1": psf_l1(psf, dense),
-        "energy_error": float(np.abs(energy - psf.sum(axis=(0, 1))).max() / psf.sum(axis=(0, 1)).max()),
-        "max_value_ratio": float(np.abs(spreadlet.value).max() / largest),
+        "energy_error": float(np.abs(energy - true_energy).max() / true_energy.max()),
+        "max_value_ratio": float(np.abs(value).max()) / largest,
     }

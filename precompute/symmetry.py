@@ -15,6 +15,10 @@ TOLERANCE = 2e-3
 """Largest difference, in units of the peak, between a PSF and its image under what counts as its symmetry."""
 
 
+_KEY_BASE = 1 << 20
+"""More than any distance between two offsets."""
+
+
 class Symmetry(NamedTuple):
     """One element of the lattice's point group: swap rows and columns if told so, then negate."""
 
@@ -46,7 +50,7 @@ def transform_image(image: npt.NDArray[np.float64], symmetry: Symmetry) -> npt.N
 def transform_offsets(offset_rc: npt.NDArray[np.int64], symmetry: Symmetry) -> npt.NDArray[np.int64]:
     """Apply a symmetry to offsets (..., 2) from the centre."""
     moved = offset_rc[..., ::-1] if symmetry.transpose else offset_rc
-    return moved * np.asarray([-1 if symmetry.flip_row else 1, -1 if symmetry.flip_col else 1])
+    return np.asarray(moved * np.asarray([-1 if symmetry.flip_row else 1, -1 if symmetry.flip_col else 1]))
 
 
 def find_group(psf: npt.NDArray[np.float64], tolerance: float = TOLERANCE) -> tuple[Symmetry, ...]:
@@ -77,15 +81,37 @@ def symmetrise(psf: npt.NDArray[np.float64], group: tuple[Symmetry, ...]) -> npt
     return np.asarray(sum(transform_image(psf, symmetry) for symmetry in group) / len(group))
 
 
-def orbits(
+def representatives(
     offset_rc: npt.NDArray[np.int64], group: tuple[Symmetry, ...]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Gather points into orbits: sets of points that the group maps onto each other.
+    """Choose one of each set of offsets that the group maps onto each other.
 
     Parameters
     ----------
     offset_rc : ndarray of shape (n, 2), int64
-        Offsets from the centre; those whose images are missing are completed, equal ones are merged.
+        Distinct offsets from the centre.
+    group : tuple of Symmetry
+        The group.
+
+    Returns
+    -------
+    index, count : ndarray of shape (m,), int64
+        Index of the chosen offsets, and how many of the given ones each stands for, itself included.
+    """
+    key = _keys(_images(offset_rc, group)).min(axis=1)
+    _, index, count = np.unique(key, return_index=True, return_counts=True)
+    return index, count
+
+
+def orbits(
+    offset_rc: npt.NDArray[np.int64], group: tuple[Symmetry, ...]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Complete points to orbits: sets of points that the group maps onto each other.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n, 2), int64
+        Offsets from the centre; those of the same orbit are merged.
     group : tuple of Symmetry
         A group of order g.
 
@@ -96,10 +122,40 @@ def orbits(
     size : ndarray of shape (m,), int64
         Number of distinct points of each orbit.
     """
-    images = np.stack([transform_offsets(offset_rc, symmetry) for symmetry in group], axis=1)
-    reach = int(np.abs(images).max(initial=0)) + 1
-    key = images[..., 0] * (2 * reach) + images[..., 1]
-    _, first = np.unique(key.min(axis=1), return_index=True)
-    ordered = np.sort(key[first], axis=1)
-    size = 1 + (np.diff(ordered, axis=1) != 0).sum(axis=1)
-    return images[first], size
+    index, _ = representatives(offset_rc, group)
+    members = _images(offset_rc[index], group)
+    size = 1 + (np.diff(np.sort(_keys(members), axis=1), axis=1) != 0).sum(axis=1)
+    return members, size
+
+
+def expand(
+    members: npt.NDArray[np.int64], size: npt.NDArray[np.int64], value: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Write orbits with one value each as distinct points with one value each.
+
+    Parameters
+    ----------
+    members, size : ndarray of shape (m, g, 2) and (m,), int64
+        The orbits.
+    value : ndarray of shape (m, C), float64
+        Value of each point of an orbit.
+
+    Returns
+    -------
+    offset_rc : ndarray of shape (n, 2), int64
+        Distinct points in row-major order.
+    point_value : ndarray of shape (n, C), float64
+    """
+    order = members.shape[1]
+    offset, first = np.unique(members.reshape(-1, 2), axis=0, return_index=True)
+    return offset, value[first // order]
+
+
+def _images(offset_rc: npt.NDArray[np.int64], group: tuple[Symmetry, ...]) -> npt.NDArray[np.int64]:
+    """Return the images (n, g, 2) of offsets (n, 2) under each element of a group."""
+    return np.stack([transform_offsets(offset_rc, symmetry) for symmetry in group], axis=1)
+
+
+def _keys(offset_rc: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Give offsets (..., 2) numbers that differ where they do."""
+    return np.asarray(offset_rc[..., 0] * _KEY_BASE + offset_rc[..., 1])

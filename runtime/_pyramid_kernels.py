@@ -11,8 +11,14 @@ import numpy as np
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
 
-ROWS_PER_SUM = 64
-"""Rows that share one partial sum in `channel_sums`; fixed, so that sums do not depend on the number of threads."""
+BLOCK_PIXELS = 1024
+"""Width of the column strips of `relax`: the rows that its steps keep then fit the second-level cache."""
+
+INTERPOLATION_REACH = 4
+"""Pixels that an interpolated pixel can depend on to either side, rounded up to whole coarse pixels."""
+
+MAGNITUDE_BITS = np.int32(0x7FFFFFFF)
+"""All bits of a float32 but its sign."""
 
 # Multiply-add contraction only: sums keep their written order, and NaN and infinity keep their meaning.
 FASTMATH = {"contract"}
@@ -176,24 +182,362 @@ def filter_level(source, out, taps, n_channels, scratch):
             _filter_cols(out[i], row, n_channels, taps[1])
 
 
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _mirrored(index, count):
+    """Odd reflection about the zero pixels just outside: an index inside the array, and the sign of its value."""
+    if index < 0:
+        return max(-2 - index, 0), np.float32(-1 if index < -1 else 0)
+    if index >= count:
+        return min(2 * count - index, count - 1), np.float32(-1 if index > count else 0)
+    return index, np.float32(1)
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _largest_magnitude(row):
+    """Bits of the largest magnitude in a row: as integers they order like the numbers, with infinity and NaN on top."""
+    bits = row.view(np.int32)
+    largest = np.int32(0)
+    for j in range(bits.shape[0]):
+        largest = max(largest, np.int32(bits[j] & MAGNITUDE_BITS))
+    return largest
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _sum_pixels(sums, row, n_channels, scratch):
+    """Sum a row over its pixels, by folding it in half until one pixel is left."""
+    remaining = row.shape[0] // n_channels
+    for j in range(row.shape[0]):
+        scratch[j] = row[j]
+    while remaining > 1:
+        half = remaining // 2
+        upper = scratch[(remaining - half) * n_channels :]
+        for j in range(half * n_channels):
+            scratch[j] += upper[j]
+        remaining -= half
+    sums[:] = scratch[:n_channels]
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _split_pixels(even, odd, row, n_channels):
+    """Part a row of 2 n + 1 pixels into its n + 1 even and n odd ones; four channels move as one vector."""
+    n_odd = odd.shape[0] // n_channels
+    if n_channels == 4:
+        for pixel in range(n_odd):
+            to, at = 4 * pixel, 8 * pixel
+            e_0, e_1, e_2, e_3 = row[at], row[at + 1], row[at + 2], row[at + 3]
+            o_0, o_1, o_2, o_3 = row[at + 4], row[at + 5], row[at + 6], row[at + 7]
+            even[to], even[to + 1], even[to + 2], even[to + 3] = e_0, e_1, e_2, e_3
+            odd[to], odd[to + 1], odd[to + 2], odd[to + 3] = o_0, o_1, o_2, o_3
+    else:
+        for pixel in range(n_odd):
+            for channel in range(n_channels):
+                even[pixel * n_channels + channel] = row[2 * pixel * n_channels + channel]
+                odd[pixel * n_channels + channel] = row[(2 * pixel + 1) * n_channels + channel]
+    for channel in range(n_channels):
+        even[n_odd * n_channels + channel] = row[2 * n_odd * n_channels + channel]
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _join_pixels(row, even, odd, n_channels):
+    """Inverse of `_split_pixels`."""
+    n_odd = odd.shape[0] // n_channels
+    if n_channels == 4:
+        for pixel in range(n_odd):
+            at, to = 4 * pixel, 8 * pixel
+            e_0, e_1, e_2, e_3 = even[at], even[at + 1], even[at + 2], even[at + 3]
+            o_0, o_1, o_2, o_3 = odd[at], odd[at + 1], odd[at + 2], odd[at + 3]
+            row[to], row[to + 1], row[to + 2], row[to + 3] = e_0, e_1, e_2, e_3
+            row[to + 4], row[to + 5], row[to + 6], row[to + 7] = o_0, o_1, o_2, o_3
+    else:
+        for pixel in range(n_odd):
+            for channel in range(n_channels):
+                row[2 * pixel * n_channels + channel] = even[pixel * n_channels + channel]
+                row[(2 * pixel + 1) * n_channels + channel] = odd[pixel * n_channels + channel]
+    for channel in range(n_channels):
+        row[2 * n_odd * n_channels + channel] = even[n_odd * n_channels + channel]
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _copy_row(out, row):
+    """Copy a row that may be shorter than its target; the rest becomes zero."""
+    for j in range(row.shape[0]):
+        out[j] = row[j]
+    for j in range(row.shape[0], out.shape[0]):
+        out[j] = 0
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _residual_row(out, above, row, below, source, step):
+    """Write `source - Lap u` of a row; the source may be shorter than the row.
+
+    Summing differences keeps the rounding error in proportion to the image's slope and not to its level, which the
+    coarse levels would amplify.
+    """
+    count = out.shape[0]
+    centre, left, right = row[step:], row, row[2 * step :]
+    above_centre, below_centre, inner = above[step:], below[step:], out[step:]
+    for j in range(count - 2 * step):
+        value = centre[j]
+        inner[j] = (value - left[j]) + (value - right[j]) + (value - above_centre[j]) + (value - below_centre[j])
+    for j in range(step):
+        value = row[j]
+        out[j] = value + (value - row[j + step]) + (value - above[j]) + (value - below[j])
+        k = count - step + j
+        value = row[k]
+        out[k] = value + (value - row[k - step]) + (value - above[k]) + (value - below[k])
+    for j in range(min(source.shape[0], count)):
+        out[j] += source[j]
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _coarsen_rows(out, rows, first, height, taps):
+    """Filter along the columns: the seven rows from `first` on, out of a ring of eight."""
+    w_0, w_1 = taps[3] * _mirrored(first, height)[1], taps[2] * _mirrored(first + 1, height)[1]
+    w_2, w_3 = taps[1] * _mirrored(first + 2, height)[1], taps[0]
+    w_4, w_5 = taps[1] * _mirrored(first + 4, height)[1], taps[2] * _mirrored(first + 5, height)[1]
+    w_6 = taps[3] * _mirrored(first + 6, height)[1]
+    r_0, r_1, r_2, r_3 = rows[first % 8], rows[(first + 1) % 8], rows[(first + 2) % 8], rows[(first + 3) % 8]
+    r_4, r_5, r_6 = rows[(first + 4) % 8], rows[(first + 5) % 8], rows[(first + 6) % 8]
+    for j in range(out.shape[0]):
+        out[j] = (
+            w_3 * r_3[j] + (w_2 * r_2[j] + w_4 * r_4[j]) + (w_1 * r_1[j] + w_5 * r_5[j]) + (w_0 * r_0[j] + w_6 * r_6[j])
+        )
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _coarsen_cols(out, row, taps, n_channels, even, odd):
+    """Filter along a row and keep its odd pixels."""
+    count = out.shape[0]
+    _split_pixels(even[n_channels:], odd[n_channels : n_channels + count], row, n_channels)
+    for channel in range(n_channels):
+        odd[channel] = 0
+        odd[n_channels + count + channel] = 0
+        even[channel] = -even[n_channels + channel]
+        even[2 * n_channels + count + channel] = -even[n_channels + count + channel]
+    odd_1, odd_2, even_1 = odd[n_channels:], odd[2 * n_channels :], even[n_channels:]
+    even_2, even_3 = even[2 * n_channels :], even[3 * n_channels :]
+    tap_0, tap_1, tap_2, tap_3 = taps[0], taps[1], taps[2], taps[3]
+    for j in range(count):
+        out[j] = (
+            tap_0 * odd_1[j]
+            + tap_1 * (even_1[j] + even_2[j])
+            + tap_2 * (odd[j] + odd_2[j])
+            + tap_3 * (even[j] + even_3[j])
+        )
+
+
 @numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def channel_sums(image, sums, magnitudes):
-    """Sum the values and their magnitudes over groups of `ROWS_PER_SUM` rows, separately for each column.
+def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
+    """Filter `source - Lap image` and keep its odd pixels: coarse pixel k lies on fine pixel 2 k + 1.
+
+    Parameters
+    ----------
+    source : ndarray of shape (h, w * C), float32
+        The Laplacian; zero on the rest of the level's domain.
+    image : ndarray of shape (2 hc + 1, (2 wc + 1) * C), float32, or of shape (0, 0)
+        The present image on the level's whole domain; without rows it is zero.
+    coarse : ndarray of shape (hc, wc * C), float32
+        Output. Its total is that of the fine level, up to what its odd reflection at the sides takes off.
+    taps : ndarray of shape (4,), float32
+        Centre tap and the three taps on either side.
+    n_channels : int
+        C.
+    sums : ndarray of shape (2 hc + 1, C), float32
+        Output: the sums of each row of `source - Lap image`.
+    largest : ndarray of shape (hc,), int32
+        Output: bits of the largest magnitude of `source - Lap image` in the rows around each coarse row.
+    scratch : ndarray of shape (n_bands, 12, (2 wc + 5) * C), float32
+        Row buffers; each band of rows is one parallel task.
+    """
+    n_bands = scratch.shape[0]
+    height, count = 2 * coarse.shape[0] + 1, 2 * coarse.shape[1] + n_channels
+    for band in numba.prange(n_bands):
+        even, odd, spare = scratch[band, 0], scratch[band, 1], scratch[band, 2, :count]
+        zeros, rows = scratch[band, 3, :count], scratch[band, 4:12]
+        zeros[:] = 0
+        begin, end = band * coarse.shape[0] // n_bands, (band + 1) * coarse.shape[0] // n_bands
+        position = 2 * begin - 2
+        for k in range(begin, end):
+            largest[k] = 0
+            while position <= 2 * k + 4:
+                i = _mirrored(position, height)[0]
+                row = rows[position % 8][:count]
+                own = _row(source, i, zeros[:0])
+                if image.shape[0] == 0:
+                    _copy_row(row, own)
+                else:
+                    above, below = _row(image, i - 1, zeros), _row(image, i + 1, zeros)
+                    _residual_row(row, above, image[i], below, own, n_channels)
+                largest[k] = max(largest[k], _largest_magnitude(row))
+                # Bands share rows at their borders; each row is summed where it is owned.
+                if 2 * begin <= position < 2 * end + (end == coarse.shape[0]):
+                    _sum_pixels(sums[position], row, n_channels, spare)
+                position += 1
+            _coarsen_rows(spare, rows, 2 * k - 2, height, taps)
+            _coarsen_cols(coarse[k], spare, taps, n_channels, even, odd)
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _stretch_cols(out, coarse, taps, n_channels, scratch):
+    """Interpolate a coarse row of n pixels to 2 n + 1 pixels."""
+    count = coarse.shape[0]
+    extended, even, odd = scratch[0], scratch[1], scratch[2, :count]
+    for j in range(count):
+        extended[2 * n_channels + j] = coarse[j]
+    for channel in range(n_channels):
+        extended[channel] = -coarse[channel]
+        extended[n_channels + channel] = 0
+        extended[2 * n_channels + count + channel] = 0
+        extended[3 * n_channels + count + channel] = -coarse[count - n_channels + channel]
+    x_1, x_2, x_3 = extended[n_channels:], extended[2 * n_channels :], extended[3 * n_channels :]
+    tap_0, tap_1, tap_2, tap_3 = taps[0], taps[1], taps[2], taps[3]
+    for j in range(count):
+        odd[j] = tap_0 * x_2[j] + tap_2 * (x_1[j] + x_3[j])
+    for j in range(count + n_channels):
+        even[j] = tap_1 * (x_1[j] + x_2[j]) + tap_3 * (extended[j] + x_3[j])
+    _join_pixels(out, even, odd, n_channels)
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _blend_rows(out, rows, position, n_coarse, taps):
+    """Interpolate along the columns at a fine row, from a ring of four stretched coarse rows."""
+    if position % 2 == 0:
+        first = position // 2 - 2
+        w_0, w_1, w_2, w_3 = taps[3], taps[1], taps[1], taps[3]
+    else:
+        first = position // 2 - 1
+        w_0, w_1, w_2, w_3 = taps[2], taps[0], taps[2], np.float32(0)
+    w_0, w_1 = w_0 * _mirrored(first, n_coarse)[1], w_1 * _mirrored(first + 1, n_coarse)[1]
+    w_2, w_3 = w_2 * _mirrored(first + 2, n_coarse)[1], w_3 * _mirrored(first + 3, n_coarse)[1]
+    r_0, r_1, r_2, r_3 = rows[first % 4], rows[(first + 1) % 4], rows[(first + 2) % 4], rows[(first + 3) % 4]
+    for j in range(out.shape[0]):
+        out[j] = w_0 * r_0[j] + w_1 * r_1[j] + w_2 * r_2[j] + w_3 * r_3[j]
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _relax_row(out, above, row, below, source, weight, step):
+    """One Jacobi step: `out = row + weight * (Lap row - source)`; the rows carry one more pixel on either side."""
+    left, centre, right = row, row[step:], row[2 * step :]
+    above_centre, below_centre = above[step:], below[step:]
+    four = np.float32(4)
+    known = min(source.shape[0], out.shape[0])
+    for j in range(known):
+        around = (left[j] + right[j]) + (above_centre[j] + below_centre[j])
+        out[j] = centre[j] + weight * (around - four * centre[j] - source[j])
+    for j in range(known, out.shape[0]):
+        around = (left[j] + right[j]) + (above_centre[j] + below_centre[j])
+        out[j] = centre[j] + weight * (around - four * centre[j])
+
+
+@numba.njit(cache=True, fastmath=FASTMATH)
+def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, scratch):
+    """Do the work of `relax` on the block (first row, end row, first pixel, end pixel) of its output.
+
+    All steps run in one sweep: step s follows one row behind step s - 1, and each keeps its last three rows. Pixels
+    near the sides of a block that are not sides of the domain see wrong neighbours; the overlap keeps them out of the
+    output.
+    """
+    first_row, end_row, first_pixel, end_pixel = block
+    n_steps = weights.shape[0]
+    n_coarse, height = coarse.shape[0], 2 * coarse.shape[0] + 1
+    overlap = n_steps + INTERPOLATION_REACH
+    first_col = max(0, (first_pixel - overlap) // 2) * n_channels
+    end_col = min(coarse.shape[1], ((end_pixel + overlap + 1) // 2) * n_channels)
+    begin, count = 2 * first_col, 2 * (end_col - first_col) + n_channels
+    zeros, stretched = scratch[0], scratch[4:8]
+    zeros[:] = 0
+    for row in scratch[8 : 8 + 3 * n_steps]:
+        row[:n_channels] = 0
+        row[n_channels + count : 2 * n_channels + count] = 0
+    next_coarse = max(first_row - n_steps, 0) // 2 - 2
+    largest = np.int32(0)
+    for position in range(max(first_row - n_steps, 0), end_row + n_steps):
+        if position < height:
+            # Step 0: interpolate.
+            while next_coarse <= (position + position % 2) // 2 + 1:
+                line = coarse[_mirrored(next_coarse, n_coarse)[0], first_col:end_col]
+                _stretch_cols(stretched[next_coarse % 4][:count], line, taps, n_channels, scratch[1:4])
+                next_coarse += 1
+            row = scratch[8 + position % 3, n_channels : n_channels + count]
+            _blend_rows(row, stretched, position, n_coarse, taps)
+            if image.shape[0] > 0:
+                _add(row, image[position, begin : begin + count])
+        for step in range(1, n_steps + 1):
+            i, reach = position - step, n_steps - step
+            if i < max(first_row - reach, 0) or i >= min(end_row + reach, height):
+                continue
+            rows = scratch[5 + 3 * step : 8 + 3 * step]
+            above = rows[(i - 1) % 3] if i > 0 else zeros
+            below = rows[(i + 1) % 3] if i + 1 < height else zeros
+            own = source[i, begin : begin + count] if i < source.shape[0] else zeros[:0]
+            if step < n_steps:
+                target = scratch[8 + 3 * step + i % 3, n_channels : n_channels + count]
+                _relax_row(target, above, rows[i % 3], below, own, weights[step - 1], n_channels)
+            else:
+                skip = first_pixel * n_channels - begin
+                target = out[i, first_pixel * n_channels : end_pixel * n_channels]
+                _relax_row(
+                    target, above[skip:], rows[i % 3, skip:], below[skip:], own[skip:], weights[step - 1], n_channels
+                )
+                largest = max(largest, _largest_magnitude(target))
+    return largest
+
+
+@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
+def relax(coarse, image, source, out, taps, weights, n_channels, largest, scratch):
+    """Interpolate a coarse correction, add it to an image, and relax with Jacobi steps, in one sweep over memory.
+
+    Parameters
+    ----------
+    coarse : ndarray of shape (hc, wc * C), float32
+        The correction; coarse pixel k lies on fine pixel 2 k + 1.
+    image : ndarray of shape (2 hc + 1, (2 wc + 1) * C), float32, or of shape (0, 0)
+        The present image; without rows it is zero.
+    source : ndarray of shape (h, w * C), float32
+        The Laplacian; zero on the rest of the level's domain.
+    out : ndarray of shape (at most 2 hc + 1, at most (2 wc + 1) * C), float32
+        Output: the new image, or its upper left part. Must not be `image`.
+    taps : ndarray of shape (4,), float32
+        Centre tap and the three taps on either side of the interpolation.
+    weights : ndarray of shape (n_steps,), float32
+        Weight of each step.
+    n_channels : int
+        C.
+    largest : ndarray of shape (n_bands,), int32
+        Output: bits of the largest magnitude that each band wrote.
+    scratch : ndarray of shape (n_bands, 8 + 3 * n_steps, n), float32
+        Row buffers; each band of rows is one parallel task.
+        `n >= (BLOCK_PIXELS + 2 * (n_steps + INTERPOLATION_REACH) + 8) * C`.
+    """
+    n_bands, n_pixels = scratch.shape[0], out.shape[1] // n_channels
+    for band in numba.prange(n_bands):
+        first_row, end_row = band * out.shape[0] // n_bands, (band + 1) * out.shape[0] // n_bands
+        largest[band] = 0
+        for first_pixel in range(0, n_pixels, BLOCK_PIXELS):
+            block = (first_row, end_row, first_pixel, min(first_pixel + BLOCK_PIXELS, n_pixels))
+            found = _relax_block(coarse, image, source, out, taps, weights, n_channels, block, scratch[band])
+            largest[band] = max(largest[band], found)
+
+
+@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
+def measure(image, n_channels, sums, largest, scratch):
+    """Sum each row over its pixels and find the largest magnitude.
 
     Parameters
     ----------
     image : ndarray of shape (h, w * C), float32
-        Any values; NaN and infinity show in the sums.
-    sums, magnitudes : ndarray of shape (ceil(h / ROWS_PER_SUM), w * C), float64
+        Any values.
+    n_channels : int
+        C.
+    sums : ndarray of shape (h, C), float32
         Output.
+    largest : ndarray of shape (h,), int32
+        Output: bits of the largest magnitude of each row.
+    scratch : ndarray of shape (n_bands, at least 1, at least w * C), float32
+        Row buffers; each band of rows is one parallel task.
     """
-    for group in numba.prange(sums.shape[0]):
-        total, magnitude = sums[group], magnitudes[group]
-        total[:] = 0
-        magnitude[:] = 0
-        for i in range(group * ROWS_PER_SUM, min((group + 1) * ROWS_PER_SUM, image.shape[0])):
-            row = image[i]
-            for j in range(row.shape[0]):
-                value = np.float64(row[j])
-                total[j] += value
-                magnitude[j] += abs(value)
+    n_bands = scratch.shape[0]
+    for band in numba.prange(n_bands):
+        for i in range(band * image.shape[0] // n_bands, (band + 1) * image.shape[0] // n_bands):
+            largest[i] = _largest_magnitude(image[i])
+            _sum_pixels(sums[i], image[i], n_channels, scratch[band, 0])

@@ -1,46 +1,75 @@
-"""Poisson integrators: from a Laplacian image to the image."""
+"""Poisson integrators: from a Laplacian image to the image.
+
+============  =======================================================================================================
+`exact`       Sine transforms on the padded box (`spreadlets.laplacian.solve_dirichlet`).
+`pyramid`     One pass down and one up a pyramid, like a convolution pyramid, but each level relaxes its answer against
+              its own source instead of adding a filtered copy of it. Filters and weights are optimised.
+`multigrid`   The pyramid, then the pyramid again on what is left of the Laplacian, `cycles` times.
+`pyramid-f5`  Farbman et al. 2011, "Convolution Pyramids", as published.
+`pyramid-f7`
+============  =======================================================================================================
+
+Boundary: `exact`, `pyramid` and `multigrid` hold the image at zero on a ring of pixels around the array, at its upper and
+left sides just outside, at the lower and right sides up to a few per cent of the size further out, where the array is
+padded to a size that the levels divide evenly. Every level continues its arrays across that ring by odd reflection, so
+all levels, and the stencil of the residual, mean the same problem and the cycles converge to the exact answer. That
+answer is the free-space one as far as the sources' field has died off at the ring: the field of an exact Laplacian is
+zero outside its shape, and that of a fitted spreadlet falls off with the third power of the distance.
+The published pyramids are free-space by construction.
+"""
+
+from __future__ import annotations
 
 import math
-import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from runtime import _pyramid_kernels as kernels
 from spreadlets.errors import InvalidParameterError
 from spreadlets.laplacian import solve_dirichlet
 
 Image = NDArray[np.float32]
+Rows = NDArray[np.float32]
+"""An image as the kernels see it, of shape (H, W * C)."""
 
-METHODS = ("exact", "pyramid-f5", "pyramid-f7")
+METHODS = ("exact", "pyramid", "multigrid", "pyramid-f5", "pyramid-f7")
 """Names of the integrators."""
 
-NET_SOURCE_TOLERANCE = 1e-4
-"""Largest net source, relative to the sum of magnitudes, that passes for rounding."""
+DEFAULT_METHOD = "pyramid"
+DEFAULT_CYCLES = 2
+
+COARSEST_SIDE = 32
+"""Levels stop before the shorter side gets below this; the coarsest is solved exactly, and it takes under 1 % of the time.
+A smaller coarsest level would waste more pixels on dividing the size evenly."""
+
+LONGEST_ODD_SIDE = 128
+"""Sides above this are padded to a fast transform length before an exact solve."""
+
+NET_SOURCE_TOLERANCE = 0.01
+"""Largest sum of the Laplacian, relative to the largest value of the image, that passes without a warning. The field of
+a net source q is about q times the logarithm of the distance over 2 pi, so this is an error of about 1 %."""
 
 
 class UnbalancedSourceWarning(UserWarning):
-    """The Laplacian has a net source, for which no answer is zero at infinity."""
+    """The Laplacian has a net source, for which no answer is zero at infinity; zero on the ring is what was solved."""
 
 
 @dataclass(frozen=True)
 class FilterSet:
-    """The separable filters of a convolution pyramid: centre tap, then the taps on either side.
+    """Separable filters of a published pyramid: centre tap, then the taps on either side.
 
     Attributes
     ----------
     down, up, source : tuple of 4 floats
-        Filters before decimation, after expansion, and of each level's own source (`h1`, `h2` and `g` in the source).
+        Filters before decimation, after expansion, and of each level's own source (`h1`, `h2` and `g` in the paper).
     pad : int
-        Zero pixels added around every level.
-
-    Notes
-    -----
-    Farbman et al. 2011, "Convolution Pyramids", sets F5 and F7.
+        Zero pixels that are added around every level.
     """
 
     down: tuple[float, float, float, float]
@@ -49,35 +78,174 @@ class FilterSet:
     pad: int
 
 
-_F7_DOWN = (0.65934, 0.53034, 0.26177, 0.06110)
-_F7_GAIN = math.sqrt(0.51106)
-FILTER_SETS = {
-    "pyramid-f5": FilterSet(
-        down=(0.7, 0.5, 0.15, 0.0), up=(0.7, 0.5, 0.15, 0.0), source=(0.547, 0.175, 0.0, 0.0), pad=5
-    ),
+_F5_TAPS = (0.7, 0.5, 0.15, 0.0)
+_F7_TAPS = (0.65934, 0.53034, 0.26177, 0.06110)
+# The paper scales the two-dimensional filter.
+_F7_SCALE = math.sqrt(0.51106)
+
+PUBLISHED_FILTERS = {
+    "pyramid-f5": FilterSet(down=_F5_TAPS, up=_F5_TAPS, source=(0.547, 0.175, 0.0, 0.0), pad=5),
     "pyramid-f7": FilterSet(
-        down=_F7_DOWN,
-        up=(_F7_GAIN * _F7_DOWN[0], _F7_GAIN * _F7_DOWN[1], _F7_GAIN * _F7_DOWN[2], _F7_GAIN * _F7_DOWN[3]),
+        down=_F7_TAPS,
+        up=(_F7_SCALE * 0.65934, _F7_SCALE * 0.53034, _F7_SCALE * 0.26177, _F7_SCALE * 0.06110),
         source=(0.57410, 0.24453, 0.05407, 0.0),
         pad=7,
     ),
 }
-"""The published sets by the name of their integrator."""
 
 
-def integrate(laplacian_image: NDArray[Any], method: str = "exact", *, threads: int | None = None) -> Image:
-    """Integrate a Laplacian image."""
-    source = _checked_source(laplacian_image)
-    if method not in METHODS:
-        raise InvalidParameterError(f"method is {method!r}; the integrators are {', '.join(METHODS)}")
-    n_threads = numba.get_num_threads() if threads is None else threads
-    before = numba.get_num_threads()
-    numba.set_num_threads(n_threads)
-    try:
-        image = solve_dirichlet(source, workers=n_threads) if method == "exact" else _run_pyramid(source, method)
-    finally:
-        numba.set_num_threads(before)
-    return image
+@dataclass(frozen=True)
+class LevelFilters:
+    """Filters of one level of the optimised pyramid.
+
+    Attributes
+    ----------
+    down, up : tuple of 2 floats
+        Third and fourth tap of the seven-tap filters before decimation and after expansion. The other two follow from
+        keeping the sum of the source, and constant images.
+    weights : tuple of floats
+        Jacobi weights in the order of use. The large ones come first, so that the small ones damp the rounding errors
+        that those amplify.
+    """
+
+    down: tuple[float, float]
+    up: tuple[float, float]
+    weights: tuple[float, ...]
+
+
+# Found by benchmarks/optimise_pyramid.py.
+FINEST_FILTERS = LevelFilters(
+    down=(0.17268, 0.02224),
+    up=(-0.22882, -0.09239),
+    weights=(0.9336, 0.4151, 0.2714, 0.1948, 0.1493, 0.1293),
+)
+COARSER_FILTERS = LevelFilters(
+    down=(0.23608, 0.05469),
+    up=(-0.17636, -0.17954),
+    weights=(2.0748, 1.0267, 1.0266, 0.3443, 0.3443, 0.1684, 0.1680, 0.1298),
+)
+
+
+def complete_taps(outer: tuple[float, float]) -> Rows:
+    """Complete a seven-tap filter whose even taps, and whose odd taps, sum to 1: centre tap, then side taps."""
+    return np.array([1 - 2 * outer[0], 0.5 - outer[1], *outer], np.float32)
+
+
+@dataclass(frozen=True)
+class IntegrationReport:
+    """How an integration went.
+
+    Attributes
+    ----------
+    cycles : int
+        Multigrid cycles that were run after the first guess.
+    residual : float or None
+        Largest magnitude of `L - Lap u` relative to the largest of `L`, if a tolerance was given.
+    net_source : float
+        Largest magnitude, over the channels, of the sum of `L`, relative to the largest magnitude of `u`.
+    """
+
+    cycles: int
+    residual: float | None
+    net_source: float
+
+
+def integrate(
+    laplacian_image: NDArray[Any],
+    method: str = DEFAULT_METHOD,
+    *,
+    cycles: int = DEFAULT_CYCLES,
+    tolerance: float | None = None,
+    threads: int | None = None,
+    out: Image | None = None,
+) -> Image:
+    """Integrate a Laplacian image once; to do it for many frames, keep an `Integrator`.
+
+    Parameters
+    ----------
+    laplacian_image : ndarray of shape (H, W, C)
+        Sum of spreadlets, floating point, computed in float32. The sources should lie inside, off the sides.
+    method : {"exact", "pyramid", "multigrid", "pyramid-f5", "pyramid-f7"}
+        See the module.
+    cycles : int
+        Most cycles of `multigrid`; 0 is `pyramid`. Other methods take no notice.
+    tolerance : float, optional
+        Stop the cycles once the residual is below this, see `IntegrationReport`. Other methods take no notice.
+    threads : int, optional
+        Number of threads, by default numba's. The image does not depend on it.
+    out : ndarray of shape (H, W, C), float32, optional
+        C-contiguous array that receives the image.
+
+    Returns
+    -------
+    ndarray of shape (H, W, C), float32
+        The image: `out`, if given.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the image or a parameter is not as described, or if the answer exceeds the range of float32.
+
+    Warns
+    -----
+    UnbalancedSourceWarning
+        If a channel's sum is not zero.
+    """
+    return Integrator(method, cycles=cycles, tolerance=tolerance, threads=threads)(laplacian_image, out)
+
+
+@dataclass
+class Integrator:
+    """A Poisson integrator that keeps its buffers: after the first image of a size it allocates nothing but results.
+
+    Parameters are those of `integrate`. Not for use by several threads at once.
+
+    Attributes
+    ----------
+    report : IntegrationReport or None
+        How the last call went.
+
+    Raises
+    ------
+    InvalidParameterError
+        From the call, as `integrate`.
+    """
+
+    method: str = DEFAULT_METHOD
+    cycles: int = field(default=DEFAULT_CYCLES, kw_only=True)
+    tolerance: float | None = field(default=None, kw_only=True)
+    threads: int | None = field(default=None, kw_only=True)
+    report: IntegrationReport | None = field(default=None, init=False)
+    _solver: _Solver | None = field(default=None, init=False, repr=False)
+
+    def __call__(self, laplacian_image: NDArray[Any], out: Image | None = None) -> Image:
+        """Integrate an image; arguments, result and errors are those of `integrate`."""
+        source = _checked_source(laplacian_image)
+        out = np.empty_like(source) if out is None else _checked_out(out, source)
+        threads = self._checked_threads()
+        key = (self.method, source.shape, threads)
+        if self._solver is None or self._solver.key != key:
+            self._solver = _make_solver(*key)
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        try:
+            self.report = self._solver.solve(source, out, self.cycles, self.tolerance)
+        finally:
+            numba.set_num_threads(before)
+        _warn_of_net_source(self.report.net_source)
+        return out
+
+    def _checked_threads(self) -> int:
+        if self.method not in METHODS:
+            raise InvalidParameterError(f"method is {self.method!r}; the integrators are {', '.join(METHODS)}")
+        if self.cycles < 0:
+            raise InvalidParameterError(f"cycles is {self.cycles}; give 0 or more")
+        if self.tolerance is not None and not self.tolerance >= 0:
+            raise InvalidParameterError(f"tolerance is {self.tolerance}; give a residual of 0 or more, or None")
+        most = numba.config.NUMBA_NUM_THREADS
+        if self.threads is not None and not 1 <= self.threads <= most:
+            raise InvalidParameterError(f"threads is {self.threads}; the allowed range is 1 to {most}")
+        return self.threads or int(numba.get_num_threads())
 
 
 def _checked_source(laplacian_image: NDArray[Any]) -> Image:
@@ -87,29 +255,242 @@ def _checked_source(laplacian_image: NDArray[Any]) -> Image:
             f"the Laplacian image has shape {source.shape} and dtype {source.dtype}; "
             "give a non-empty floating-point array of shape (H, W, C)"
         )
-    return np.ascontiguousarray(source, np.float32)
+    with np.errstate(over="ignore"):
+        # A value that overflows here is reported as non-finite like any other.
+        return np.ascontiguousarray(source, np.float32)
 
 
-def _run_pyramid(source: Image, method: str) -> Image:
-    filters = FILTER_SETS[method]
-    height, width, n_channels = source.shape
-    pad = filters.pad
-    n_levels = max(1, math.ceil(math.log2(max(height, width))))
-    down, up, own = (np.array([taps, taps], np.float32) for taps in (filters.down, filters.up, filters.source))
-    levels = [source.reshape(height, width * n_channels)]
-    scratch = np.zeros((numba.get_num_threads(), 5, (width + 4 * pad + 16) * n_channels), np.float32)
-    for _ in range(1, n_levels):
-        height, width = (height + 2 * pad + 1) // 2, (width + 2 * pad + 1) // 2
-        coarse = np.empty((height, width * n_channels), np.float32)
-        kernels.filter_down(levels[-1], coarse, down, pad, n_channels, scratch)
-        levels.append(coarse)
-    # The published filters invert minus the Laplacian.
-    negate = np.array([[-1], [1]], np.float32)
-    answer = np.empty_like(levels[-1])
-    kernels.filter_level(levels[-1], answer, own if n_levels > 1 else own * negate, n_channels, scratch)
-    for level in range(n_levels - 2, -1, -1):
-        fine = np.empty_like(levels[level])
-        taps = (up, own) if level else (up * negate, own * negate)
-        kernels.filter_up(answer, levels[level], fine, *taps, pad, n_channels, scratch)
-        answer = fine
-    return answer.reshape(source.shape)
+def _checked_out(out: Image, source: Image) -> Image:
+    if out.shape != source.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise InvalidParameterError(
+            f"out has shape {out.shape} and dtype {out.dtype}; "
+            f"give a C-contiguous float32 array of the Laplacian's shape {source.shape}"
+        )
+    if np.may_share_memory(out, source):
+        raise InvalidParameterError("out shares memory with the Laplacian image; give an array of its own")
+    return out
+
+
+def _warn_of_net_source(net_source: float) -> None:
+    if net_source > NET_SOURCE_TOLERANCE:
+        warnings.warn(
+            f"a channel of the Laplacian sums to {net_source:.2g} of the image's largest value; it has no answer that is "
+            "zero at infinity, so the image was held at zero around the array. Neutral sources must not be cut off",
+            UnbalancedSourceWarning,
+            stacklevel=3,
+        )
+
+
+def _magnitude(bits: NDArray[np.int32]) -> float:
+    """Largest of the magnitudes that the kernels return as bits."""
+    return float(bits.max().view(np.float32))
+
+
+def _ratio(value: float, scale: float) -> float:
+    return value / scale if scale > 0 else (math.inf if value > 0 else 0.0)
+
+
+def _rows(image: Image) -> Rows:
+    return image.reshape(image.shape[0], -1)
+
+
+def _require_finite(magnitude: float, source: Image) -> None:
+    """Refuse an infinite or undefined magnitude, and say where it comes from."""
+    if math.isfinite(magnitude):
+        return
+    bad = np.argwhere(~np.isfinite(source))
+    if len(bad):
+        raise InvalidParameterError(
+            f"the Laplacian image has {len(bad)} values that are not finite in float32, the first at (row, col, channel) "
+            f"{tuple(int(i) for i in bad[0])}"
+        )
+    raise InvalidParameterError(
+        f"the answer exceeds the range of float32: the Laplacian reaches {float(np.abs(source).max()):.3g}; "
+        "scale the image down"
+    )
+
+
+SolverKey = tuple[str, tuple[int, ...], int]
+"""What a solver's buffers are made for: method, shape of the image, number of threads."""
+
+
+class _Solver:
+    """Buffers of one method for one shape and number of threads."""
+
+    def __init__(self, key: SolverKey) -> None:
+        self.key = key
+        _, (height, width, n_channels), threads = key
+        self.sums = np.empty((height, n_channels), np.float32)
+        self.largest = np.empty(height, np.int32)
+        self.spare = np.empty((threads, 1, width * n_channels), np.float32)
+
+    def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
+        """Write the image to `out`."""
+        raise NotImplementedError
+
+    def measure(self, image: Image) -> tuple[float, float]:
+        """Largest magnitude, over the channels, of an image's sum, and its largest value's magnitude."""
+        kernels.measure(_rows(image), image.shape[2], self.sums, self.largest, self.spare)
+        return float(np.abs(self.sums.sum(axis=0, dtype=np.float64)).max()), _magnitude(self.largest)
+
+    def report(self, net: float, source: Image, out: Image) -> IntegrationReport:
+        """Refuse an answer that is not finite; otherwise report on it."""
+        largest = self.measure(out)[1]
+        _require_finite(largest, source)
+        return IntegrationReport(cycles=0, residual=None, net_source=_ratio(net, largest))
+
+
+def _make_solver(method: str, shape: tuple[int, ...], threads: int) -> _Solver:
+    key = (method, shape, threads)
+    if method in PUBLISHED_FILTERS:
+        return _PublishedSolver(key)
+    if method == "exact" or min(shape[:2]) < 2 * COARSEST_SIDE - 1:
+        return _ExactSolver(key)
+    return _LevelSolver(key)
+
+
+def _fast_side(side: int) -> int:
+    """Smallest side, at least as long, whose sine transform is fast."""
+    return side if side <= LONGEST_ODD_SIDE else int(next_fast_len(side + 1, real=True)) - 1
+
+
+class _ExactSolver(_Solver):
+    """Sine transforms on the array, padded to a fast size."""
+
+    def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
+        _, (height, width, n_channels), threads = self.key
+        net, largest = self.measure(source)
+        _require_finite(largest, source)
+        padded = np.zeros((_fast_side(height), _fast_side(width), n_channels), np.float32)
+        padded[:height, :width] = source
+        out[:] = solve_dirichlet(padded, workers=threads, overwrite=True)[:height, :width]
+        return self.report(net, source, out)
+
+
+class _PublishedSolver(_Solver):
+    """A convolution pyramid as published, on as many levels as the longer side has binary digits."""
+
+    def __init__(self, key: SolverKey) -> None:
+        super().__init__(key)
+        method, (height, width, n_channels), threads = key
+        filters = PUBLISHED_FILTERS[method]
+        self.pad = filters.pad
+        self.down, self.up, self.own = (
+            np.array([taps, taps], np.float32) for taps in (filters.down, filters.up, filters.source)
+        )
+        self.shapes = [(height, width * n_channels)]
+        for _ in range(1, math.ceil(math.log2(max(height, width)))):
+            height, width = ((side + 2 * self.pad + 1) // 2 for side in (height, width))
+            self.shapes.append((height, width * n_channels))
+        self.sources, self.answers = ([np.empty(shape, np.float32) for shape in self.shapes[1:]] for _ in range(2))
+        widest = max(width for _, width in self.shapes) + (2 * self.pad + 8) * n_channels
+        self.scratch = np.empty((threads, 5, widest), np.float32)
+
+    def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
+        n_channels, pad, scratch = source.shape[2], self.pad, self.scratch
+        net, largest = self.measure(source)
+        _require_finite(largest, source)
+        scratch[:] = 0
+        sources, answers = [_rows(source), *self.sources], [_rows(out), *self.answers]
+        for fine, coarse in zip(sources, sources[1:], strict=False):
+            kernels.filter_down(fine, coarse, self.down, pad, n_channels, scratch)
+        kernels.filter_level(sources[-1], answers[-1], self.own, n_channels, scratch)
+        for level in reversed(range(len(sources) - 1)):
+            kernels.filter_up(
+                answers[level + 1], sources[level], answers[level], self.up, self.own, pad, n_channels, scratch
+            )
+        # The published filters invert minus the Laplacian.
+        np.negative(out, out=out)
+        return self.report(net, source, out)
+
+
+def _level_shapes(height: int, width: int) -> list[tuple[int, int]]:
+    """Sizes of the levels, finest first: each has an odd size and its coarser pixels lie on its odd ones."""
+    halvings = int(math.log2((min(height, width) + 1) / COARSEST_SIDE))
+    step = 2**halvings
+    coarsest = [_fast_side(math.ceil((side + 1) / step) - 1) for side in (height, width)]
+    return [((coarsest[0] + 1) * 2**k - 1, (coarsest[1] + 1) * 2**k - 1) for k in reversed(range(halvings + 1))]
+
+
+class _LevelSolver(_Solver):
+    """The optimised pyramid, and the multigrid cycle that it makes."""
+
+    def __init__(self, key: SolverKey) -> None:
+        super().__init__(key)
+        method, (height, width, n_channels), threads = key
+        self.repeats = method == "multigrid"
+        self.shapes = _level_shapes(height, width)
+        flat = [(rows, cols * n_channels) for rows, cols in self.shapes]
+        self.sources, self.answers = ([np.empty(shape, np.float32) for shape in flat[1:]] for _ in range(2))
+        self.images: list[Rows] = []
+        self.nothing = np.empty((0, 0), np.float32)
+        self.sums = np.empty((flat[0][0], n_channels), np.float32)
+        self.largest = np.empty(max(flat[1][0], threads), np.int32)
+        self.down, self.up = (
+            [complete_taps(getattr(filters, name)) for filters in (FINEST_FILTERS, COARSER_FILTERS)]
+            for name in ("down", "up")
+        )
+        self.weights = [np.array(filters.weights, np.float32) for filters in (FINEST_FILTERS, COARSER_FILTERS)]
+        most_steps = max(len(weights) for weights in self.weights)
+        overlap = 2 * (most_steps + kernels.INTERPOLATION_REACH) + 8
+        self.relax_scratch = np.empty(
+            (threads, 8 + 3 * most_steps, (kernels.BLOCK_PIXELS + overlap) * n_channels), np.float32
+        )
+        self.coarsen_scratch = np.empty((threads, 12, flat[0][1] + 4 * n_channels), np.float32)
+
+    def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
+        rows, out_rows = _rows(source), _rows(out)
+        cycles, tolerance = (cycles, tolerance) if self.repeats else (0, None)
+        scale = self._coarsen(0, rows, self.nothing)
+        _require_finite(scale, source)
+        net = float(np.abs(self.sums.sum(axis=0, dtype=np.float64)).max())
+        image, residual, done = self.nothing, None, 0
+        while True:
+            self._solve_coarser_levels()
+            direct = done == cycles and tolerance is None
+            target = out_rows if direct else self._image(done % 2)
+            largest = self._relax(0, image, rows, target)
+            _require_finite(largest, source)
+            image = target
+            if direct:
+                break
+            left = self._coarsen(0, rows, image)
+            if tolerance is not None:
+                residual = _ratio(left, scale)
+                if residual <= tolerance or done == cycles:
+                    out_rows[:] = image[: out_rows.shape[0], : out_rows.shape[1]]
+                    break
+            done += 1
+        return IntegrationReport(cycles=done, residual=residual, net_source=_ratio(net, largest))
+
+    def _image(self, index: int) -> Rows:
+        """One of two images on the whole padded domain; only the cycles need them."""
+        if len(self.images) <= index:
+            height, width = self.shapes[0]
+            self.images.append(np.empty((height, width * self.key[1][2]), np.float32))
+        return self.images[index]
+
+    def _coarsen(self, level: int, source: Rows, image: Rows) -> float:
+        """Filter a level's remaining source down to the next; return its largest magnitude."""
+        coarse, taps = self.sources[level], self.down[min(level, 1)]
+        sums, largest = self.sums[: self.shapes[level][0]], self.largest[: self.shapes[level + 1][0]]
+        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, largest, self.coarsen_scratch)
+        return _magnitude(largest)
+
+    def _relax(self, level: int, image: Rows, source: Rows, out: Rows) -> float:
+        """Add the next level's answer to an image and relax it; return the largest magnitude of the outcome."""
+        kind = min(level, 1)
+        taps, weights, scratch = self.up[kind], self.weights[kind], self.relax_scratch
+        largest = self.largest[: scratch.shape[0]]
+        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch)
+        return _magnitude(largest)
+
+    def _solve_coarser_levels(self) -> None:
+        """From the first coarse level's source to its answer."""
+        n_coarse = len(self.sources)
+        for level in range(1, n_coarse):
+            self._coarsen(level, self.sources[level - 1], self.nothing)
+        coarsest = self.sources[-1].reshape(*self.shapes[-1], -1)
+        self.answers[-1][:] = _rows(solve_dirichlet(coarsest))
+        for level in reversed(range(1, n_coarse)):
+            self._relax(level, self.nothing, self.sources[level - 1], self.answers[level - 1])

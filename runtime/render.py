@@ -25,6 +25,8 @@ DEFAULT_INTEGRATOR = "exact"
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
 
+STEPS = ("read", "plan", "splat", "integrate", "composite", "write")
+
 Image = npt.NDArray[np.float32]
 
 
@@ -46,6 +48,11 @@ class Clock:
         self.compile_s += compiled
         elapsed = time.perf_counter() - begin - compiled
         self.time_s[name] = self.time_s.get(name, 0.0) + elapsed
+
+    def times(self) -> dict[str, float]:
+        """Return the seconds of every step, and of all together."""
+        time_s = {name: self.time_s.get(name, 0.0) for name in STEPS}
+        return time_s | {"total": sum(time_s.values())}
 
 
 def _compile_time(recorder: Any) -> float:
@@ -153,10 +160,8 @@ def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, An
         "padding_px": max(plan.padding for plan in plans) + SOLVER_MARGIN,
         "left_out": [name for name in plans[0].left_out if name in left_out],
     }
-    steps = ("read", "plan", "splat", "integrate", "composite", "write")
-    time_s = {name: clock.time_s.get(name, 0.0) for name in steps}
     return {
-        "time_s": time_s | {"total": sum(time_s.values())},
+        "time_s": clock.times(),
         "compile_s": clock.compile_s,
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "plan": figures,

@@ -134,8 +134,7 @@ def synth(
     figures = metrics.compare(image, truth) if truth is not None else {}
     with clock.step("write"):
         exr.write_image(output, image)
-    report["time_s"]["write"] = clock.time_s["write"]
-    report["time_s"]["total"] += clock.time_s["write"]
+    report["time_s"] = clock.times()
     _print(report | figures, as_json)
 
 

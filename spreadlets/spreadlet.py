@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import fftconvolve
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.laplacian import lattice_green
+from spreadlets.laplacian import solve_free_space
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -92,7 +91,7 @@ class Spreadlet:
         image = np.zeros((2 * half[0] + 1, 2 * half[1] + 1, self.n_channels))
         rows, columns = (self.offset_rc.astype(np.int64) + half).T
         image[rows, columns] = self.value
-        return image if self.direct else _integrate(image)
+        return image if self.direct else solve_free_space(image)
 
     def moments(self) -> FloatArray:
         """Moments of the values up to second order, about offset (0, 0).
@@ -125,14 +124,3 @@ class Spreadlet:
         offset = self.offset_rc[:, ::-1] if transpose else self.offset_rc
         sign = np.asarray([-1 if flip_row else 1, -1 if flip_col else 1], dtype=np.int16)
         return Spreadlet(np.ascontiguousarray(offset * sign), self.value, self.direct)
-
-
-def _integrate(image: FloatArray) -> FloatArray:
-    """Convolve with the lattice Green's function, which is the free-space solution at the pixels of the image."""
-    height, width, n_channels = image.shape
-    quarter = lattice_green(max(height, width) - 1)[:height, :width]
-    half = np.concatenate([quarter[:0:-1], quarter])
-    green = np.concatenate([half[:, :0:-1], half], axis=1)
-    solved = [fftconvolve(image[..., c], green, mode="full") for c in range(n_channels)]
-    window = (slice(height - 1, 2 * height - 1), slice(width - 1, 2 * width - 1))
-    return np.stack([channel[window] for channel in solved], axis=-1)

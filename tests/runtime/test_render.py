@@ -46,24 +46,41 @@ def centroid(image):
     return np.array([(image * rows).sum(), (image * cols).sum()]) / image.sum()
 
 
-@pytest.mark.parametrize("place", [(32, 32), (1, 1), (1, 40), (63, 62), (20, 63)])
-@pytest.mark.parametrize(
-    ("coc", "length", "angle"),
-    [(-5.0, 0, 0), (9.0, 0, 0), (6.0, 9.0, 200), (4.0, 12, 33), (-5.0, 15, 118), (2, 14, 45), (0, 10, 290), (0, 0, 0)],
-)
-def test_a_bright_pixel_becomes_its_point_spread_function(small_combined, place, coc, length, angle):
+LABELS = [(-5, 0, 0), (9, 0, 0), (6, 9, 200), (4, 12, 33), (-5, 15, 118), (2, 14, 45), (0, 10, 290), (0, 0, 0)]
+
+
+@pytest.mark.parametrize(("coc", "length", "angle"), LABELS)
+def test_a_bright_pixel_becomes_its_point_spread_function(small_combined, coc, length, angle):
     radians = np.deg2rad(angle)
     path = length * np.cos(radians), length * np.sin(radians)
-    image, _ = synthesize(spot_frame(*place, coc, path), CAMERA, small_combined)
-    cell = int(small_combined.find((abs(coc), length)))
-    radius, stretch = small_combined.grid.coordinate(cell)
-    exact = capsule_psf(radius, stretch, radians, 65) if length else disc_coverage(radius, size=65)
-    expected = shifted_window(exact, *place)
+    image, _ = synthesize(spot_frame(32, 32, coc, path), CAMERA, small_combined)
+    radius, stretch = small_combined.coordinate(int(small_combined.find((abs(coc), length))))
+    exact = capsule_psf(radius, stretch, radians, SIZE) if length else disc_coverage(radius, size=SIZE)
     red = image[..., 0] / 4.0
     assert np.allclose(image[..., 1], image[..., 0] / 2, atol=1e-5), "colours keep their ratios"
-    margin = 0.005 if place == (32, 32) else 0.05  # what a border cuts off depends on where in its cell a PSF lies
-    assert red.sum() == pytest.approx(expected.sum(), rel=margin)
-    assert np.abs(centroid(red) - centroid(expected)).max() < (0.1 if place == (32, 32) else 0.35)
+    assert red.sum() == pytest.approx(1.0, rel=1e-3)
+    assert np.abs(centroid(red) - 32).max() < 0.05
+    spread, expected = second_moments(red), second_moments(exact)
+    tolerance = 0.15 * (radius**2 / 4 + stretch**2 / 12) + 0.1  # the cell's width adds to it
+    assert np.abs(spread - expected).max() < tolerance
+
+
+@pytest.mark.parametrize("place", [(1, 1), (1, 40), (63, 62), (20, 63), (0, 64)])
+@pytest.mark.parametrize(("coc", "length", "angle"), LABELS)
+def test_at_the_border_it_is_the_same_function_cut_off(small_combined, place, coc, length, angle):
+    radians = np.deg2rad(angle)
+    path = length * np.cos(radians), length * np.sin(radians)
+    whole, _ = synthesize(spot_frame(32, 32, coc, path), CAMERA, small_combined)
+    image, _ = synthesize(spot_frame(*place, coc, path), CAMERA, small_combined)
+    expected = shifted_window(whole[..., 0], *place)
+    assert np.abs(image[..., 0] - expected).max() < 2e-3 * expected.max()
+    assert image[..., 0].sum() == pytest.approx(expected.sum(), rel=1e-3)
+
+
+def second_moments(image):
+    """Variances along the rows, along the columns, and their covariance, px^2."""
+    rows, cols = np.indices(image.shape) - centroid(image)[:, None, None]
+    return np.array([(image * rows**2).sum(), (image * cols**2).sum(), (image * rows * cols).sum()]) / image.sum()
 
 
 @pytest.mark.parametrize("shutter", [(0.0, 0.5), (-0.5, 0.0), (0.1, 0.23)])
