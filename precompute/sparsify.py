@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from precompute.dart_throwing import throw_darts
 from precompute.elimination import eliminate
@@ -47,6 +47,12 @@ CANDIDATE_THRESHOLD = 1e-3
 
 MAX_ORBITS = 800
 """Most unknowns to start from; among more candidates, dart throwing chooses. The time grows with the third power."""
+
+DIRECT_COST = 0.5
+"""Price of a pixel that is drawn directly, relative to a point of the Laplacian: neighbours are drawn in one run."""
+
+THIN_RADIUS = 2.0
+"""PSFs that hold no larger disc, px, are always cheaper drawn directly."""
 
 DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2, 6e-2, 0.1, 0.2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
@@ -86,17 +92,21 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
         raise InvalidParameterError(f"density must be above 0, not {density}")
     boxed = _on_box(_checked(psf))
     price = PRICE * density**-PRICE_EXPONENT
-    best = _measured(boxed, _sparse_spreadlet(boxed, price, WORST_LOSS / density, seed))
+    results = []
+    if float(distance_transform_edt(_support(boxed)).max()) > THIN_RADIUS:
+        results.append(_measured(boxed, _sparse_spreadlet(boxed, price, WORST_LOSS / density, seed)))
     for threshold in DIRECT_THRESHOLDS:
-        n_pixels = int((boxed > threshold * boxed.max()).any(axis=2).sum())
-        if price * n_pixels / best[1]["n_support"] < _loss(best, price):
-            best = min(best, _measured(boxed, _direct_spreadlet(boxed, threshold)), key=lambda r: _loss(r, price))
-    return best
+        sparsity = float((boxed > threshold * boxed.max()).any(axis=2).sum() / _support(boxed).sum())
+        # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
+        if not results or DIRECT_COST * price * sparsity < _loss(results[0], price):
+            results.append(_measured(boxed, _direct_spreadlet(boxed, threshold)))
+    return min(results, key=lambda result: _loss(result, price))
 
 
 def _loss(result: Result, price: float) -> float:
     """Return what a spreadlet costs in similarity, its points included at the price."""
-    return 1.0 - result[1]["ssim"] + price * result[1]["sparsity"]
+    spreadlet, figures = result
+    return 1.0 - figures["ssim"] + price * figures["sparsity"] * (DIRECT_COST if spreadlet.direct else 1.0)
 
 
 def _checked(psf: npt.ArrayLike) -> FloatArray:

@@ -342,10 +342,10 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
         Centre tap and the three taps on either side.
     n_channels : int
         C.
-    sums : ndarray of shape (2 hc + 1, C), float32
-        Output: the sums of each row of `source - Lap image`.
-    largest : ndarray of shape (hc,), int32
-        Output: bits of the largest magnitude of `source - Lap image` in the rows around each coarse row.
+    sums : ndarray of shape (2 hc + 1, C), float32, or of shape (0, C)
+        Output: the sum over the pixels of each row of `source - Lap image`; without rows, it is not wanted.
+    largest : ndarray of shape (2 hc + 1,), int32
+        Output, if `sums` has rows: bits of the largest magnitude in each row.
     scratch : ndarray of shape (n_bands, 12, (2 wc + 5) * C), float32
         Row buffers; each band of rows is one parallel task.
     """
@@ -358,7 +358,6 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
         begin, end = band * coarse.shape[0] // n_bands, (band + 1) * coarse.shape[0] // n_bands
         position = 2 * begin - 2
         for k in range(begin, end):
-            largest[k] = 0
             while position <= 2 * k + 4:
                 i = _mirrored(position, height)[0]
                 row = rows[position % 8][:count]
@@ -368,10 +367,10 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
                 else:
                     above, below = _row(image, i - 1, zeros), _row(image, i + 1, zeros)
                     _residual_row(row, above, image[i], below, own, n_channels)
-                largest[k] = max(largest[k], _largest_magnitude(row))
-                # Bands share rows at their borders; each row is summed where it is owned.
-                if 2 * begin <= position < 2 * end + (end == coarse.shape[0]):
+                # Bands share rows at their borders; each row is measured where it is owned.
+                if position < sums.shape[0] and begin <= min(position // 2, coarse.shape[0] - 1) < end:
                     _sum_pixels(sums[position], row, n_channels, spare)
+                    largest[position] = _largest_magnitude(row)
                 position += 1
             _coarsen_rows(spare, rows, 2 * k - 2, height, taps)
             _coarsen_cols(coarse[k], spare, taps, n_channels, even, odd)

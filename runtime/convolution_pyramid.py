@@ -425,7 +425,8 @@ class _LevelSolver(_Solver):
         self.images: list[Rows] = []
         self.nothing = np.empty((0, 0), np.float32)
         self.sums = np.empty((flat[0][0], n_channels), np.float32)
-        self.largest = np.empty(max(flat[1][0], threads), np.int32)
+        self.largest = np.empty(flat[0][0], np.int32)
+        self.band_largest = np.empty(threads, np.int32)
         self.down, self.up = (
             [complete_taps(getattr(filters, name)) for filters in (FINEST_FILTERS, COARSER_FILTERS)]
             for name in ("down", "up")
@@ -473,15 +474,16 @@ class _LevelSolver(_Solver):
     def _coarsen(self, level: int, source: Rows, image: Rows) -> float:
         """Filter a level's remaining source down to the next; return its largest magnitude."""
         coarse, taps = self.sources[level], self.down[min(level, 1)]
-        sums, largest = self.sums[: self.shapes[level][0]], self.largest[: self.shapes[level + 1][0]]
-        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, largest, self.coarsen_scratch)
-        return _magnitude(largest)
+        # Only the finest level is measured.
+        sums = self.sums[: 0 if level else None]
+        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, self.largest, self.coarsen_scratch)
+        return _magnitude(self.largest)
 
     def _relax(self, level: int, image: Rows, source: Rows, out: Rows) -> float:
         """Add the next level's answer to an image and relax it; return the largest magnitude of the outcome."""
         kind = min(level, 1)
         taps, weights, scratch = self.up[kind], self.weights[kind], self.relax_scratch
-        largest = self.largest[: scratch.shape[0]]
+        largest = self.band_largest
         kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch)
         return _magnitude(largest)
 
