@@ -414,18 +414,32 @@ def _blend_rows(out, rows, position, n_coarse, taps):
 
 
 @numba.njit(cache=True, fastmath=FASTMATH)
-def _relax_row(out, above, row, below, source, weight, step):
-    """One Jacobi step: `out = row + weight * (Lap row - source)`; the rows carry one more pixel on either side."""
-    left, centre, right = row, row[step:], row[2 * step :]
-    above_centre, below_centre = above[step:], below[step:]
+def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
+    """One Jacobi step on a row: `out = row + weight * (Lap row - source)`.
+
+    Rows are given by array, index and first element, because handing over a slice costs as much as ten pixels.
+
+    Parameters
+    ----------
+    out : ndarray of 2 axes, with (row, first, count) in `out_at`
+    rows : ndarray of 2 axes, with (row above, row, row below, first) in `at`
+        `first` is one pixel to the left of the first that is written.
+    source : ndarray of 2 axes, with (row, first, count) in `source_at`
+        The count may be less than that of `out`; the source is zero from there on.
+    weight : float
+    step : int
+        Elements in a pixel.
+    """
+    above, row, below = rows[at[0]][at[3] + step :], rows[at[1]][at[3] :], rows[at[2]][at[3] + step :]
+    centre, right = row[step:], row[2 * step :]
+    target, own = out[out_at[0]][out_at[1] :], source[source_at[0]][source_at[1] :]
     four = np.float32(4)
-    known = min(source.shape[0], out.shape[0])
-    for j in range(known):
-        around = (left[j] + right[j]) + (above_centre[j] + below_centre[j])
-        out[j] = centre[j] + weight * (around - four * centre[j] - source[j])
-    for j in range(known, out.shape[0]):
-        around = (left[j] + right[j]) + (above_centre[j] + below_centre[j])
-        out[j] = centre[j] + weight * (around - four * centre[j])
+    for j in range(source_at[2]):
+        around = (row[j] + right[j]) + (above[j] + below[j])
+        target[j] = centre[j] + weight * (around - four * centre[j] - own[j])
+    for j in range(max(source_at[2], 0), out_at[2]):
+        around = (row[j] + right[j]) + (above[j] + below[j])
+        target[j] = centre[j] + weight * (around - four * centre[j])
 
 
 @numba.njit(cache=True, fastmath=FASTMATH)
@@ -443,42 +457,42 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
     first_col = max(0, (first_pixel - overlap) // 2) * n_channels
     end_col = min(coarse.shape[1], ((end_pixel + overlap + 1) // 2) * n_channels)
     begin, count = 2 * first_col, 2 * (end_col - first_col) + n_channels
-    zeros, stretched = scratch[0], scratch[4:8]
-    zeros[:] = 0
+    stretched = scratch[4:8]
+    scratch[0] = 0
     for row in scratch[8 : 8 + 3 * n_steps]:
         row[:n_channels] = 0
         row[n_channels + count : 2 * n_channels + count] = 0
-    next_coarse = max(first_row - n_steps, 0) // 2 - 2
     largest = np.int32(0)
+    next_coarse = max(first_row - n_steps, 0) // 2 - 2
     for position in range(max(first_row - n_steps, 0), end_row + n_steps):
         if position < height:
             # Step 0: interpolate.
             while next_coarse <= (position + position % 2) // 2 + 1:
-                line = coarse[_mirrored(next_coarse, n_coarse)[0], first_col:end_col]
+                line = coarse[_mirrored(next_coarse, n_coarse)[0]][first_col:end_col]
                 _stretch_cols(stretched[next_coarse % 4][:count], line, taps, n_channels, scratch[1:4])
                 next_coarse += 1
-            row = scratch[8 + position % 3, n_channels : n_channels + count]
+            row = scratch[8 + position % 3][n_channels : n_channels + count]
             _blend_rows(row, stretched, position, n_coarse, taps)
             if image.shape[0] > 0:
-                _add(row, image[position, begin : begin + count])
+                _add(row, image[position][begin : begin + count])
         for step in range(1, n_steps + 1):
             i, reach = position - step, n_steps - step
             if i < max(first_row - reach, 0) or i >= min(end_row + reach, height):
                 continue
-            rows = scratch[5 + 3 * step : 8 + 3 * step]
-            above = rows[(i - 1) % 3] if i > 0 else zeros
-            below = rows[(i + 1) % 3] if i + 1 < height else zeros
-            own = source[i, begin : begin + count] if i < source.shape[0] else zeros[:0]
+            slot = 5 + 3 * step
+            above = slot + (i - 1) % 3 if i > 0 else 0
+            below = slot + (i + 1) % 3 if i + 1 < height else 0
+            known = source.shape[1] if i < source.shape[0] else 0
             if step < n_steps:
-                target = scratch[8 + 3 * step + i % 3, n_channels : n_channels + count]
-                _relax_row(target, above, rows[i % 3], below, own, weights[step - 1], n_channels)
+                at, to = (above, slot + i % 3, below, 0), (slot + 3 + i % 3, n_channels, count)
+                known_at = (min(i, source.shape[0] - 1), begin, min(known - begin, count))
+                _relax_row(scratch, to, scratch, at, source, known_at, weights[step - 1], n_channels)
             else:
-                skip = first_pixel * n_channels - begin
-                target = out[i, first_pixel * n_channels : end_pixel * n_channels]
-                _relax_row(
-                    target, above[skip:], rows[i % 3, skip:], below[skip:], own[skip:], weights[step - 1], n_channels
-                )
-                largest = max(largest, _largest_magnitude(target))
+                first, last = first_pixel * n_channels, end_pixel * n_channels
+                at, to = (above, slot + i % 3, below, first - begin), (i, first, last - first)
+                known_at = (min(i, source.shape[0] - 1), first, min(known, last) - first)
+                _relax_row(out, to, scratch, at, source, known_at, weights[step - 1], n_channels)
+                largest = max(largest, _largest_magnitude(out[i][first:last]))
     return largest
 
 

@@ -115,14 +115,14 @@ class LevelFilters:
 
 # Found by benchmarks/optimise_pyramid.py.
 FINEST_FILTERS = LevelFilters(
-    down=(0.17268, 0.02224),
-    up=(-0.22882, -0.09239),
-    weights=(0.9336, 0.4151, 0.2714, 0.1948, 0.1493, 0.1293),
+    down=(0.17224, 0.02171),
+    up=(-0.21831, -0.10739),
+    weights=(0.6475, 0.3376, 0.2297, 0.1601, 0.1309),
 )
 COARSER_FILTERS = LevelFilters(
-    down=(0.23608, 0.05469),
-    up=(-0.17636, -0.17954),
-    weights=(2.0748, 1.0267, 1.0266, 0.3443, 0.3443, 0.1684, 0.1680, 0.1298),
+    down=(0.19285, 0.03212),
+    up=(-0.04114, -0.20423),
+    weights=(1.4571, 0.7124, 0.7124, 0.2537, 0.1989, 0.1354),
 )
 
 
@@ -378,6 +378,9 @@ class _PublishedSolver(_Solver):
         self.down, self.up, self.own = (
             np.array([taps, taps], np.float32) for taps in (filters.down, filters.up, filters.source)
         )
+        # The published filters invert minus the Laplacian: the finest level's answer changes sign.
+        negate = np.array([[-1], [1]], np.float32)
+        self.last_up, self.last_own = self.up * negate, self.own * negate
         self.shapes = [(height, width * n_channels)]
         for _ in range(1, math.ceil(math.log2(max(height, width)))):
             height, width = ((side + 2 * self.pad + 1) // 2 for side in (height, width))
@@ -394,13 +397,12 @@ class _PublishedSolver(_Solver):
         sources, answers = [_rows(source), *self.sources], [_rows(out), *self.answers]
         for fine, coarse in zip(sources, sources[1:], strict=False):
             kernels.filter_down(fine, coarse, self.down, pad, n_channels, scratch)
-        kernels.filter_level(sources[-1], answers[-1], self.own, n_channels, scratch)
+        kernels.filter_level(
+            sources[-1], answers[-1], self.own if len(sources) > 1 else self.last_own, n_channels, scratch
+        )
         for level in reversed(range(len(sources) - 1)):
-            kernels.filter_up(
-                answers[level + 1], sources[level], answers[level], self.up, self.own, pad, n_channels, scratch
-            )
-        # The published filters invert minus the Laplacian.
-        np.negative(out, out=out)
+            up, own = (self.up, self.own) if level else (self.last_up, self.last_own)
+            kernels.filter_up(answers[level + 1], sources[level], answers[level], up, own, pad, n_channels, scratch)
         return self.report(net, source, out)
 
 
@@ -442,7 +444,7 @@ class _LevelSolver(_Solver):
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         rows, out_rows = _rows(source), _rows(out)
         cycles, tolerance = (cycles, tolerance) if self.repeats else (0, None)
-        scale = self._coarsen(0, rows, self.nothing)
+        scale = self._coarsen(0, rows, self.nothing, True)
         _require_finite(scale, source)
         net = float(np.abs(self.sums.sum(axis=0, dtype=np.float64)).max())
         image, residual, done = self.nothing, None, 0
@@ -455,7 +457,7 @@ class _LevelSolver(_Solver):
             image = target
             if direct:
                 break
-            left = self._coarsen(0, rows, image)
+            left = self._coarsen(0, rows, image, tolerance is not None)
             if tolerance is not None:
                 residual = _ratio(left, scale)
                 if residual <= tolerance or done == cycles:
@@ -471,11 +473,10 @@ class _LevelSolver(_Solver):
             self.images.append(np.empty((height, width * self.key[1][2]), np.float32))
         return self.images[index]
 
-    def _coarsen(self, level: int, source: Rows, image: Rows) -> float:
+    def _coarsen(self, level: int, source: Rows, image: Rows, measured: bool = False) -> float:
         """Filter a level's remaining source down to the next; return its largest magnitude."""
         coarse, taps = self.sources[level], self.down[min(level, 1)]
-        # Only the finest level is measured.
-        sums = self.sums[: 0 if level else None]
+        sums = self.sums[: None if measured else 0]
         kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, self.largest, self.coarsen_scratch)
         return _magnitude(self.largest)
 

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from runtime.border import extended_radiance, outside_distance
+from runtime import _plan_kernels
+from runtime.border import border_passes
 from runtime.splat import PointTable, SplatPass
-from runtime.variant import SHARP, Variant, variant_points
+from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.frame import Layer
 from spreadlets.psf_model import PsfGrid
 
-DensePsf = Callable[[int, int, float], npt.NDArray[np.float64]]
-"""Gives the full PSF of (cell, direction, scale) as an array of odd size, centred."""
-
 SCALE_STEPS_PER_OCTAVE = 16
 """Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
+N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
+"""PSFs are scaled by up to 8; a wider one covers the frame evenly whatever its exact size."""
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 SHIFT_STEPS_PER_PIXEL = 16
@@ -38,13 +38,13 @@ class Labels(NamedTuple):
         Signed radius of the circle of confusion.
     path : ndarray of shape (H, W, 2), float32
         Motion (dx, dy) over the shutter.
-    shift : ndarray of shape (H, W, 2), float32
-        From the pixel to its position at mid-shutter, (dx, dy).
+    shift : ndarray of shape (H, W, 2), float32, or None
+        From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
     """
 
     coc: npt.NDArray[np.float32]
     path: npt.NDArray[np.float32]
-    shift: npt.NDArray[np.float32]
+    shift: npt.NDArray[np.float32] | None
 
 
 @dataclass
@@ -54,11 +54,9 @@ class Plan:
     Attributes
     ----------
     passes : list of SplatPass
-        The labelled pixels to draw, those that continue the frame beyond its border included.
+        The labelled pixels to draw, and those that continue the frame beyond its border.
     table : PointTable
         The points of the variants in use.
-    border : int
-        Pixels by which the passes exceed the frame on each side.
     padding : int
         Pixels that the splats need around the frame on each side.
     cells_used : set of int
@@ -70,7 +68,6 @@ class Plan:
 
     passes: list[SplatPass]
     table: PointTable
-    border: int
     padding: int
     cells_used: set[int]
     pixels_skipped: int
@@ -80,7 +77,7 @@ class Plan:
         """Return the numbers of pixels drawn sparse and dense, and of the points that they draw."""
         drawn = np.zeros(len(self.table.direct), np.int64)
         for source in self.passes:
-            drawn += np.bincount(source.variant[source.variant >= 0], minlength=len(drawn))
+            drawn += np.bincount(source.variant.ravel() + 1, minlength=len(drawn) + 1)[1:]
         return {
             "pixels_sparse": int(drawn[~self.table.direct].sum()),
             "pixels_dense": int(drawn[self.table.direct].sum()),
@@ -91,13 +88,12 @@ class Plan:
 def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
     """Turn depth and motion vectors into the PSF's parameters; an effect that is off has parameter 0."""
     height, width = layer.depth.shape
-    coc = camera.coc_radius(layer.depth, width) if defocus else np.zeros((height, width), np.float32)
-    vector = layer.motion if motion else np.zeros((height, width, 2), np.float32)
-    return Labels(
-        np.asarray(coc, np.float32),
-        vector * np.float32(camera.shutter_duration),
-        vector * np.float32(camera.shutter_centre),
-    )
+    still = np.zeros((height, width), np.float32)
+    coc = np.asarray(camera.coc_radius(layer.depth, width), np.float32) if defocus else still
+    if not motion or not layer.has_motion:
+        return Labels(coc, np.broadcast_to(still[..., None], (height, width, 2)), None)
+    shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
+    return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift)
 
 
 def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: DensePsf | None) -> Plan:
@@ -118,105 +114,85 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: Dens
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
-    visible = np.asarray(layer.radiance.any(axis=2))
-    coordinate, scale_step = _in_range(_coordinates(labels, database.grid), database.grid, visible)
-    key = _variant_key(coordinate, scale_step, labels, database.grid)
-    used, inverse = np.unique(key[visible], return_inverse=True)
-    variants = [_decode(int(value)) for value in used]
-    table = _point_table([variant_points(variant, database, dense_psf) for variant in variants], database.n_channels)
-    index = np.full(visible.shape, -1, np.int32)
-    index[visible] = inverse
-    source, border = _extended(layer.radiance, index, labels.shift, table)
-    passes = list(_passes(*source))
-    moved = max((int(np.abs(each.shift[each.variant >= 0]).max(initial=0)) for each in passes), default=0)
+    key, excess = _variant_keys(layer, labels, database)
+    n_keys = 1 + 8 * database.n_spreadlets * N_SCALES
+    used, place = _plan_kernels.used_keys(key, n_keys)
+    index = np.empty(key.shape, np.int32)
+    _plan_kernels.replace_keys(key, place, index)
+    visible = index >= 0
+    _warn_beyond_range(database.grid, excess, int(visible.sum()))
+    variants = [_decode(int(each), database) for each in used]
+    table = _point_table(list(variant_points(variants, database, dense_psf)), database.n_channels)
+    passes = [each for frame in _passes(layer.radiance, index, labels.shift) for each in _with_border(frame, table)]
     plan = Plan(
         passes=passes,
         table=table,
-        border=border,
-        padding=border + table.reach() + moved,
+        padding=_padding(passes, table, index.shape),
         cells_used={variant.cell for variant in variants if variant != SHARP},
         pixels_skipped=int(visible.size - visible.sum()),
     )
-    plan.left_out = _left_out(plan, labels, visible)
+    plan.left_out = _left_out(plan, labels, variants)
     return plan
 
 
-def _coordinates(labels: Labels, grid: PsfGrid) -> npt.NDArray[np.float64]:
-    """Return the coordinate of each pixel in the model's parameter space, shape (H, W, n_axes)."""
-    given = {"coc": np.abs(labels.coc), "motion": np.hypot(labels.path[..., 0], labels.path[..., 1])}
+def _variant_keys(
+    layer: Layer, labels: Labels, database: Database
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
+    grid = database.grid
+    length = np.hypot(labels.path[..., 0], labels.path[..., 1])
+    radius = np.abs(labels.coc)
+    coordinate = _coordinates({"coc": radius, "motion": length}, grid)
+    key = np.empty(radius.shape, np.int64)
+    excess = np.empty((len(radius), 2), np.float64)
+    tables = grid.maximum, grid.power, np.array(grid.shape, np.int64), grid.nested.level_offset, database.cell_start
+    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
+    sharp = radius + np.float32(0.5) * length <= SHARP_EXTENT
+    _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, sharp, tables, scales, key, excess)
+    return key, excess
+
+
+def _coordinates(given: dict[str, npt.NDArray[np.float32]], grid: PsfGrid) -> npt.NDArray[np.float32]:
+    """Return the coordinates of each pixel in the model's parameter space, shape (n_axes, H, W)."""
     names = [axis.name for axis in grid.model.axes]
     for name in sorted(set(given) - set(names)):
-        moving = float((given[name] > 0).mean())
-        if moving > 0:
+        share = 100.0 * float((given[name] > 0).mean())
+        if share > 0:
             warnings.warn(
-                f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on "
-                f"{100 * moving:.1f} % of the pixels",
+                f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {share:.1f} % of "
+                "the pixels",
                 stacklevel=2,
             )
-    return np.stack([given[name] for name in names], axis=-1).astype(np.float64)
+    return np.stack([given[name] for name in names])
 
 
-def _in_range(
-    coordinate: npt.NDArray[np.float64], grid: PsfGrid, visible: npt.NDArray[np.bool_]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Shrink coordinates beyond the database's range into it; return them and the steps by which they shrank."""
-    maximum = np.array([axis.maximum for axis in grid.model.axes])
-    excess = (coordinate / maximum).max(axis=-1)
-    beyond = visible & (excess > 1.0)
-    step = np.zeros(excess.shape, np.int64)
-    if beyond.any():
-        step[beyond] = np.ceil(SCALE_STEPS_PER_OCTAVE * np.log2(excess[beyond]))
-        share = 100.0 * beyond.sum() / max(visible.sum(), 1)
-        limits = ", ".join(f"{axis.name} 0 to {axis.maximum:g} {axis.unit}" for axis in grid.model.axes)
-        warnings.warn(
-            f"{share:.2f} % of the pixels have a PSF beyond the database's range ({limits}; largest needed is "
-            f"{excess.max():.2f} times that): scaled from the nearest cell",
-            stacklevel=2,
-        )
-    return coordinate / np.exp2(step / SCALE_STEPS_PER_OCTAVE)[..., None], step
+def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
+    """Say which share of the pixels has a PSF beyond the database's range, if any."""
+    beyond = excess[:, 1].sum()
+    if not beyond:
+        return
+    limits = ", ".join(f"{axis.name} 0 to {axis.maximum:g} {axis.unit}" for axis in grid.model.axes)
+    warnings.warn(
+        f"{100.0 * beyond / n_visible:.2f} % of the pixels have a PSF beyond the database's range ({limits}; largest "
+        f"needed is {excess[:, 0].max():.2f} times that): scaled from the nearest cell",
+        stacklevel=2,
+    )
 
 
-def _variant_key(
-    coordinate: npt.NDArray[np.float64], scale_step: npt.NDArray[np.int64], labels: Labels, grid: PsfGrid
-) -> npt.NDArray[np.int64]:
-    """Pack cell, direction, orientation and scale of each pixel into one integer; -1 is a PSF within one pixel."""
-    cell = grid.find(coordinate)
-    angle = np.arctan2(labels.path[..., 1], labels.path[..., 0])
-    direction, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle)
-    orientation = transpose.astype(np.int64) | flip_row.astype(np.int64) << 1 | flip_col.astype(np.int64) << 2
-    key = ((cell << 16 | direction) << 3 | orientation) << 12 | scale_step
-    extent = np.abs(labels.coc) + 0.5 * np.hypot(labels.path[..., 0], labels.path[..., 1])
-    return np.where(extent <= SHARP_EXTENT, -1, key)
-
-
-def _extended(
-    radiance: npt.NDArray[np.float32],
-    variant: npt.NDArray[np.int32],
-    shift: npt.NDArray[np.float32],
-    table: PointTable,
-) -> tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32], npt.NDArray[np.float32]], int]:
-    """Continue a layer beyond its border: labels repeat, as far as their PSFs reach back into the frame."""
-    reach = np.append(table.reaches(), 0)[variant] + np.ceil(np.abs(shift).max(axis=2)).astype(np.int64)
-    border = int(max(reach[0].max(), reach[-1].max(), reach[:, 0].max(), reach[:, -1].max()))
-    around = ((border, border), (border, border))
-    extended = np.pad(variant, around, mode="edge")
-    out_of_reach = outside_distance(variant.shape, border) > np.pad(reach, around, mode="edge")
-    colour = extended_radiance(radiance, border)
-    extended[out_of_reach | ~colour.any(axis=2)] = -1
-    return (colour, extended, np.pad(shift, (*around, (0, 0)), mode="edge")), border
-
-
-def _decode(key: int) -> Variant:
-    if key < 0:
+def _decode(key: int, database: Database) -> Variant:
+    """Turn a key of the kernel back into what it stands for."""
+    if key == _plan_kernels.SHARP:
         return SHARP
-    orientation = key >> 12 & 7
+    turned, step = divmod(key - 1, N_SCALES)
+    spreadlet, orientation = divmod(turned, 8)
+    cell = int(np.searchsorted(database.cell_start, spreadlet, side="right")) - 1
     return Variant(
-        cell=key >> 31,
-        direction=key >> 15 & 0xFFFF,
+        cell=cell,
+        direction=spreadlet - int(database.cell_start[cell]),
         transpose=bool(orientation & 1),
         flip_row=bool(orientation & 2),
         flip_col=bool(orientation & 4),
-        scale=float(np.exp2((key & 0xFFF) / SCALE_STEPS_PER_OCTAVE)),
+        scale=float(np.exp2(step / SCALE_STEPS_PER_OCTAVE)),
     )
 
 
@@ -234,11 +210,12 @@ def _point_table(
 
 
 def _passes(
-    radiance: npt.NDArray[np.float32],
-    variant: npt.NDArray[np.int32],
-    shift: npt.NDArray[np.float32],
+    radiance: npt.NDArray[np.float32], variant: npt.NDArray[np.int32], shift: npt.NDArray[np.float32] | None
 ) -> Iterator[SplatPass]:
     """Split a layer by the fractional part of its shifts: one pass if there is none, up to four corners else."""
+    if shift is None:
+        yield SplatPass((0, 0), radiance, variant)
+        return
     steps = np.rint(shift[..., ::-1].astype(np.float64) * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
     steps[variant < 0] = 0
     whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
@@ -248,22 +225,40 @@ def _passes(
             weight_row = share[..., 0] if corner_row else 1.0 - share[..., 0]
             weight_col = share[..., 1] if corner_col else 1.0 - share[..., 1]
             weight = (weight_row * weight_col).astype(np.float32)
-            drawn = (weight > 0) & (variant >= 0)
-            if not drawn.any():
-                continue
-            scaled = radiance if (weight == 1).all() else radiance * weight[..., None]
-            moved = (whole + (corner_row, corner_col)).astype(np.int32)
-            yield SplatPass(scaled, np.where(drawn, variant, -1).astype(np.int32), moved)
+            drawn = np.where(weight > 0, variant, -1).astype(np.int32)
+            if (drawn >= 0).any():
+                moved = (whole + (corner_row, corner_col)).astype(np.int32)
+                yield SplatPass((0, 0), radiance * weight[..., None], drawn, moved)
 
 
-def _left_out(plan: Plan, labels: Labels, visible: npt.NDArray[np.bool_]) -> list[str]:
+def _with_border(frame: SplatPass, table: PointTable) -> list[SplatPass]:
+    """Return the pass of a frame and those that continue it beyond its border."""
+    moved = int(np.abs(frame.shift).max(initial=0))
+    return [frame, *border_passes(frame, table.reaches() + moved)]
+
+
+def _padding(passes: list[SplatPass], table: PointTable, shape: tuple[int, ...]) -> int:
+    """Return how far the splats of all passes can reach beyond the frame, px."""
+    padding = 0
+    for each in passes:
+        drawn = np.zeros(len(table.direct), np.bool_)
+        drawn[each.variant[each.variant >= 0]] = True
+        last = [first + size for first, size in zip(each.origin, each.variant.shape, strict=True)]
+        beyond = max(0, -min(each.origin), last[0] - shape[0], last[1] - shape[1])
+        moved = int(np.abs(each.shift).max(initial=0))
+        padding = max(padding, beyond + moved + int(table.reaches()[drawn].max(initial=0)))
+    return padding
+
+
+def _left_out(plan: Plan, labels: Labels, variants: list[Variant]) -> list[str]:
     """Name what this layer does not need."""
-    skipped: dict[str, Any] = {
+    skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
-        "motion": not labels.path[visible].any(),
-        "defocus": not labels.coc[visible].any(),
+        "motion": not labels.path.any(),
+        "defocus": not labels.coc.any(),
         "sparse image": bool(plan.table.direct.all()),
         "direct image": not plan.table.direct.any(),
-        "sub-pixel placement": len(plan.passes) <= 1,
+        "scaled PSFs": all(variant.scale == 1.0 for variant in variants),
+        "sub-pixel placement": labels.shift is None,
     }
     return [name for name, is_skipped in skipped.items() if is_skipped]

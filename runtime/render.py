@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from runtime.composite import over, reweight
 from runtime.convolution_pyramid import METHODS, integrate
-from runtime.plan import DensePsf, Plan, label_pixels, plan_layer
+from runtime.plan import Plan, label_pixels, plan_layer
 from runtime.splat import splat
+from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
@@ -135,13 +136,13 @@ def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Im
     if not plan.table.direct.all():
         with clock.step("splat"):
             for source in plan.passes:
-                splat(padded, source, plan.table, padding - plan.border, ~plan.table.direct)
+                splat(padded, source, plan.table, padding, ~plan.table.direct)
         with clock.step("integrate"):
             padded = integrate(padded, integrator)
     if plan.table.direct.any():
         with clock.step("splat"):
             for source in plan.passes:
-                splat(padded, source, plan.table, padding - plan.border, plan.table.direct)
+                splat(padded, source, plan.table, padding, plan.table.direct)
     with clock.step("composite"):
         inside = padded[padding : padding + height, padding : padding + width].copy()
         return reweight(inside, opaque=bool((layer.radiance[..., 3] == 1.0).all()))

@@ -12,6 +12,9 @@ from runtime import _kernels
 BAND_ROWS = 32
 """Rows that one thread owns at a time: a band of a 1024 px wide float4 image stays within a core's L2 cache."""
 
+NO_SHIFT = np.zeros((0, 0, 2), np.int32)
+"""The shift of a pass whose splats are centred on their pixels."""
+
 
 class PointTable(NamedTuple):
     """The points of all variants of a plan, concatenated; each variant's points are sorted by row.
@@ -50,21 +53,24 @@ class PointTable(NamedTuple):
 
 
 class SplatPass(NamedTuple):
-    """One image of labelled pixels to be drawn: what, with which variant, and shifted by how much.
+    """One rectangle of labelled pixels to be drawn: where, what, with which variant, and shifted by how much.
 
     Attributes
     ----------
+    origin : tuple of two ints
+        Row and column of the rectangle's first pixel in the frame; negative beyond its border.
     radiance : ndarray of shape (H, W, 4), float32
         Premultiplied colour.
     variant : ndarray of shape (H, W), int32
         Variant of each pixel, negative where nothing is drawn.
-    shift : ndarray of shape (H, W, 2), int32
+    shift : ndarray of shape (H, W, 2), int32, or `NO_SHIFT`
         Displacement (row, col) of the splat's centre from the pixel, px.
     """
 
+    origin: tuple[int, int]
     radiance: npt.NDArray[np.float32]
     variant: npt.NDArray[np.int32]
-    shift: npt.NDArray[np.int32]
+    shift: npt.NDArray[np.int32] = NO_SHIFT
 
 
 def splat(
@@ -74,10 +80,10 @@ def splat(
 
     Parameters
     ----------
-    image : ndarray of shape (H + 2 padding, W + 2 padding, 4), float32
-        Laplacian or direct image; pixel (0, 0) of the pass, of shape (H, W), lies at (padding, padding).
+    image : ndarray of shape (rows, cols, 4), float32, contiguous
+        Laplacian or direct image; the frame's first pixel lies at (padding, padding). Every splat must lie within it.
     source : SplatPass
-        The pixels; every splat must lie within the padded image.
+        The pixels.
     table : PointTable
         Points of the variants.
     padding : int
@@ -85,16 +91,34 @@ def splat(
     wanted : ndarray of shape (n_variants,), bool
         The variants to draw.
     """
-    runs = _kernels.find_runs(source.variant, source.shift, wanted)
+    runs = _find_runs(source, wanted)
     if not len(runs):
         return
-    runs[:, _kernels.RUN_TARGET_ROW] += padding
-    runs[:, _kernels.RUN_TARGET_COL] += padding
-    target_row = runs[:, _kernels.RUN_TARGET_ROW]
-    if (np.diff(target_row) < 0).any():
-        runs = np.ascontiguousarray(runs[np.argsort(target_row, kind="stable")])
-        target_row = runs[:, _kernels.RUN_TARGET_ROW]
-    row_start = np.searchsorted(target_row, np.arange(image.shape[0] + 1)).astype(np.int64)
+    rows, cols = image.shape[:2]
+    runs[:, _kernels.RUN_ROW] += padding + source.origin[0]
+    runs[:, _kernels.RUN_COL] += padding + source.origin[1]
+    if source.shift is not NO_SHIFT:
+        runs = np.ascontiguousarray(runs[np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")])
+    row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], np.arange(rows + 1)).astype(np.int64)
+    row, col = table.offset_rc.T
+    points = np.ascontiguousarray(row), 4 * (row.astype(np.int64) * cols + col)
     _kernels.splat_runs(
-        image, source.radiance, runs, row_start, table.offset_rc, table.value, table.point_start, BAND_ROWS
+        image.reshape(-1),
+        np.ascontiguousarray(source.radiance).reshape(-1),
+        runs,
+        row_start,
+        points,
+        table.value,
+        table.point_start,
+        cols,
+        BAND_ROWS,
     )
+
+
+def _find_runs(source: SplatPass, wanted: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """List the runs of a pass in raster order, shape (n_runs, 5)."""
+    counts = np.empty(len(source.variant), np.int64)
+    _kernels.count_runs(source.variant, source.shift, wanted, counts)
+    runs = np.empty((int(counts.sum()), 5), np.int32)
+    _kernels.fill_runs(source.variant, source.shift, wanted, np.cumsum(counts) - counts, runs)
+    return runs

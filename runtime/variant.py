@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from runtime._plan_kernels import turned_points
 from spreadlets.database import Database
 from spreadlets.spreadlet import Spreadlet
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
+
+DensePsf = Callable[[int, int, float], npt.NDArray[np.float64]]
+"""Gives the full PSF of (cell, direction, scale) as an array of odd size, centred."""
 
 MIN_DENSE_VALUE = 1e-7
 """Pixels of a dense PSF below this share of its peak are not drawn: under float32's own resolution."""
@@ -30,24 +34,23 @@ class Variant(NamedTuple):
 
 
 SHARP = Variant(-1, 0, False, False, False, 1.0)
-"""The PSF that stays within its pixel: of no cell, a single direct point."""
+"""The PSF that stays within its pixel: of no cell, a single direct point. It sorts first among a plan's variants."""
 
 
-def variant_points(
-    variant: Variant, database: Database, dense_psf: Callable[[int, int, float], npt.NDArray[np.float64]] | None
-) -> Points:
-    """Return a variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
-    if variant == SHARP:
-        return np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
-    if dense_psf is not None:
-        spreadlet = _dense_points(dense_psf(variant.cell, variant.direction, variant.scale))
+def variant_points(variants: list[Variant], database: Database, dense_psf: DensePsf | None) -> Iterator[Points]:
+    """Yield each variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
+    stored = [each for each in variants if each != SHARP]
+    if dense_psf is None:
+        spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
     else:
-        spreadlet = database.cell(variant.cell, variant.direction)
-        if variant.scale != 1.0:
-            spreadlet = scaled(spreadlet, variant.scale)
-    turned = spreadlet.transformed(transpose=variant.transpose, flip_row=variant.flip_row, flip_col=variant.flip_col)
-    order = np.lexsort((turned.offset_rc[:, 1], turned.offset_rc[:, 0]))
-    return turned.offset_rc[order].astype(np.int32), turned.value[order].astype(np.float32), turned.direct
+        spreadlets = [_dense_points(dense_psf(each.cell, each.direction, each.scale)) for each in stored]
+    if len(stored) < len(variants):
+        yield np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
+    for each, spreadlet in zip(stored, spreadlets, strict=True):
+        if dense_psf is None and each.scale != 1.0:
+            spreadlet = scaled(spreadlet, each.scale)
+        turned, order = turned_points(spreadlet.offset_rc, each.transpose, each.flip_row, each.flip_col)
+        yield turned, spreadlet.value[order], spreadlet.direct
 
 
 def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:

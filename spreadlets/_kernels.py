@@ -78,6 +78,11 @@ def grid_coordinate(value: float, maximum: float, inverse_power: float, n_units:
     fraction = min(value / maximum, 1.0)
     if not fraction > 0.0:
         return 0.0
+    # The usual powers, 1 and 2, need no general power function, which would be most of a frame's look-up time.
+    if inverse_power == 1.0:
+        return float(n_units * fraction)
+    if inverse_power == 0.5:
+        return float(n_units * math.sqrt(fraction))
     return float(n_units * fraction**inverse_power)
 
 

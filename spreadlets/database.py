@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +28,11 @@ MAX_SPREADLETS = 20_000_000
 MAX_POINTS = 2_000_000_000
 MAX_OFFSET = 16_384
 """Limits that a file is held to before memory is taken for what it claims to hold; an offset is in pixels."""
+
+MAX_GAP_POINTS = 4096
+"""Spreadlets with at most so many points between them are read together: less than a chunk's worth of decompression."""
+CHUNK_POINTS = 8192
+"""Points that are compressed together: small enough to read a few cells, large enough to compress well."""
 
 
 class CellRecord(NamedTuple):
@@ -93,8 +98,9 @@ def _write_cells(file: h5py.File, cells: list[list[CellRecord]]) -> None:
     file.create_dataset("statistics", data=table, **compressed)
     offsets = np.concatenate([record.spreadlet.offset_rc for record in records])
     values = np.concatenate([record.spreadlet.value for record in records])
-    file.create_dataset("offset_rc", data=offsets.astype(np.int16), **compressed)
-    file.create_dataset("value", data=values.astype(np.float32), **compressed)
+    rows = min(CHUNK_POINTS, len(offsets))
+    file.create_dataset("offset_rc", data=offsets.astype(np.int16), chunks=(rows, 2), **compressed)
+    file.create_dataset("value", data=values.astype(np.float32), chunks=(rows, values.shape[1]), **compressed)
 
 
 def _starts(counts: list[int]) -> npt.NDArray[np.int64]:
@@ -174,21 +180,49 @@ class Database:
         n_directions = int(self.cell_start[cell + 1] - self.cell_start[cell])
         if not 0 <= direction < n_directions:
             raise InvalidParameterError(f"direction {direction} of cell {cell}: allowed are 0 to {n_directions - 1}")
-        return self.spreadlet(int(self.cell_start[cell]) + direction)
+        return self.spreadlets([(cell, direction)])[0]
 
-    def spreadlet(self, index: int) -> Spreadlet:
-        """Read one spreadlet by its position in the file, and validate its points."""
-        begin, end = int(self.point_start[index]), int(self.point_start[index + 1])
+    def spreadlets(self, cells: Sequence[tuple[int, int]]) -> list[Spreadlet]:
+        """Read the spreadlets of several (cell, direction) pairs, and validate their points.
+
+        Spreadlets that lie close together in the file are read in one go.
+
+        Raises
+        ------
+        InvalidDatabaseError
+            If points cannot be read, or are not finite, or lie too far out.
+        """
+        index = np.array([self.cell_start[cell] + direction for cell, direction in cells], np.int64)
+        found: dict[int, Spreadlet] = {}
+        for first, last in self._stretches(np.unique(index)):
+            points = self._read_points(int(self.point_start[first]), int(self.point_start[last + 1]))
+            for each in index[(index >= first) & (index <= last)]:
+                begin, end = self.point_start[each : each + 2] - self.point_start[first]
+                found[int(each)] = Spreadlet(points[0][begin:end], points[1][begin:end], bool(self.direct[each]))
+        return [found[int(each)] for each in index]
+
+    def _stretches(self, index: npt.NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+        """Yield (first, last) spreadlets of stretches of the file to be read in one go."""
+        if not len(index):
+            return
+        gap = self.point_start[index[1:]] - self.point_start[index[:-1] + 1]
+        breaks = np.flatnonzero(gap > MAX_GAP_POINTS)
+        for begin, end in zip(np.append(0, breaks + 1), np.append(breaks, len(index) - 1), strict=True):
+            yield int(index[begin]), int(index[end])
+
+    def _read_points(self, begin: int, end: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
+        """Read a range of the point tables and validate it."""
         try:
             offset_rc = self._file["offset_rc"][begin:end]
             value = self._file["value"][begin:end]
         except OSError as error:
-            raise InvalidDatabaseError(f"{self.path}: spreadlet {index} cannot be read: {error}") from error
-        if not np.isfinite(value).all():
-            raise InvalidDatabaseError(f"{self.path}: spreadlet {index} holds a value that is not finite")
-        if end > begin and np.abs(offset_rc.astype(np.int32)).max() > MAX_OFFSET:
-            raise InvalidDatabaseError(f"{self.path}: spreadlet {index} has an offset above {MAX_OFFSET} px")
-        return Spreadlet(offset_rc, value, bool(self.direct[index]))
+            raise InvalidDatabaseError(f"{self.path}: points {begin} to {end} cannot be read: {error}") from error
+        bad = ~np.isfinite(value).all(axis=1)
+        if bad.any():
+            raise InvalidDatabaseError(f"{self.path}: point {begin + int(bad.argmax())} has a value that is not finite")
+        if np.abs(offset_rc.astype(np.int32)).max(initial=0) > MAX_OFFSET:
+            raise InvalidDatabaseError(f"{self.path}: points {begin} to {end} have an offset above {MAX_OFFSET} px")
+        return offset_rc, value
 
     def statistics(self) -> dict[str, npt.NDArray[np.float32]]:
         """Read the recorded figures of every spreadlet: name to array of shape (n_spreadlets,)."""

@@ -11,7 +11,8 @@ def splat_naive(shape, source, table, padding, wanted):
         if not wanted[variant]:
             continue
         points = slice(table.point_start[variant], table.point_start[variant + 1])
-        centre = np.array([row, col]) + source.shift[row, col] + padding
+        shift = source.shift[row, col] if len(source.shift) else 0
+        centre = np.array([row, col]) + source.origin + shift + padding
         for offset, value in zip(table.offset_rc[points], table.value[points], strict=True):
             weight = value if len(value) == 1 else np.append(value, value.mean())
             image[tuple(centre + offset)] += weight * source.radiance[row, col].astype(np.float64)

@@ -42,8 +42,8 @@ def test_each_module_imports_only_what_its_package_may(name):
 
 @pytest.mark.parametrize("name", [name for name in product_files() if name.endswith("_kernels.py")])
 def test_kernel_modules_import_only_numpy_numba_math(name):
-    roots = {module.split(".")[0] for module in imported_modules(ROOT / name)}
-    assert roots <= {"numpy", "numba", "math", "__future__"}
+    modules = {module for module in imported_modules(ROOT / name) if "_kernels" not in module}
+    assert {module.split(".")[0] for module in modules} <= {"numpy", "numba", "math", "__future__"}
 
 
 def test_importing_the_package_loads_nothing_heavy():

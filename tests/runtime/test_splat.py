@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from reference_splat import splat_naive
 
-from runtime.splat import PointTable, SplatPass, splat
+from runtime.splat import NO_SHIFT, PointTable, SplatPass, splat
 
 
 def random_table(rng, n_channels, n_variants=5, reach=6):
@@ -23,7 +23,7 @@ def random_pass(rng, n_variants=5, shape=(70, 23), shift=3):
     variant = np.repeat(rng.integers(-1, n_variants, (shape[0], 8)), 3, axis=1)[:, : shape[1]].astype(np.int32)
     moved = rng.integers(-shift, shift + 1, (shape[0], 1, 2)).repeat(shape[1], axis=1).astype(np.int32)
     moved[:, shape[1] // 2 :] = 0
-    return SplatPass(radiance, variant, moved)
+    return SplatPass((-2, 1), radiance, variant, moved)
 
 
 @pytest.mark.interpreted
@@ -48,6 +48,16 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
         splat(images[-1], source, table, 10, np.ones(5, bool))
         numba.set_num_threads(before)
     assert np.array_equal(*images)
+
+
+@pytest.mark.interpreted
+def test_a_pass_without_shift_is_one_with_zero_shift():
+    rng = np.random.default_rng(7)
+    table, source = random_table(rng, 1), random_pass(rng, shift=0)
+    images = np.zeros((2, 90, 43, 4), np.float32)
+    splat(images[0], source, table, 10, ~table.direct)
+    splat(images[1], source._replace(shift=NO_SHIFT), table, 10, ~table.direct)
+    assert images[0].any() and np.array_equal(*images)
 
 
 def test_nothing_wanted_draws_nothing():

@@ -151,7 +151,7 @@ def test_a_value_that_is_not_finite_never_leaves_the_file(path):
         values = file["value"][...]
         values[0] = np.nan
         file["value"][...] = values
-    with open_database(path) as database, pytest.raises(InvalidDatabaseError, match="spreadlet 0 holds a value"):
+    with open_database(path) as database, pytest.raises(InvalidDatabaseError, match="point 0 has a value"):
         database.cell(0)
 
 
