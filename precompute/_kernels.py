@@ -142,8 +142,8 @@ def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows)
     ----------
     sample_rc : ndarray of shape (S, 2), int64
         Offsets of the samples from the centre.
-    weight : ndarray of shape (S, 2), float64
-        Square roots of the weights of the window mean and of the detail.
+    weight : ndarray of shape (S, 3), float64
+        Square roots of the weights of the three rows.
     members : ndarray of shape (m, g, 2), int64
         Offsets of each orbit's points.
     share : ndarray of shape (m,), float64
@@ -170,4 +170,4 @@ def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows)
                 along_column += detail_table[abs(dr + 1), c] - here
             rows[3 * s, orbit] = weight[s, 0] * share[orbit] * mean
             rows[3 * s + 1, orbit] = weight[s, 1] * share[orbit] * along_row
-            rows[3 * s + 2, orbit] = weight[s, 1] * share[orbit] * along_column
+            rows[3 * s + 2, orbit] = weight[s, 2] * share[orbit] * along_column

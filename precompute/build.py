@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import joblib
 import numba
 import numpy as np
+import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from precompute.light_tracing import trace_psf
@@ -74,7 +75,14 @@ def _build_record(task: CellTask, number: int) -> CellRecord:
         seed=seed,
     )
     spreadlet, statistics = sparsify(psf, density=task.density, seed=seed)
-    return CellRecord(direction, spreadlet, statistics)
+    return CellRecord(direction, spreadlet, {**statistics, "total_variation": _total_variation(psf)})
+
+
+def _total_variation(psf: npt.NDArray[np.float64]) -> float:
+    """Return the sum of absolute differences of neighbouring pixels of a PSF (H, W, C), largest over the channels."""
+    padded = np.pad(psf, ((1, 1), (1, 1), (0, 0)))
+    along = (np.abs(np.diff(padded, axis=axis)).sum(axis=(0, 1)) for axis in (0, 1))
+    return float(np.max(sum(along)))
 
 
 def build_database(

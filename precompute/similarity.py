@@ -60,7 +60,7 @@ class Samples(NamedTuple):
     offset_rc: IntArray
     """Offsets from the centre, shape (S, 2)."""
     weight: FloatArray
-    """Square roots of the weights of the window mean and of the detail, shape (S, 2)."""
+    """Square roots of the weights of the window mean and of the detail's two differences, shape (S, 3)."""
     target: FloatArray
     """The weighted rows' values for the PSF itself, shape (S, 3, C)."""
 
@@ -104,8 +104,8 @@ def _tables(size: int) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(mean[inner, inner]), np.ascontiguousarray(detail[inner, inner])
 
 
-def similarity_weights(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pixel weights of the squared window mean and of the squared detail of the error.
+def similarity_weights(psf: FloatArray) -> FloatArray:
+    """Return the pixel weights of the squared window mean and of the squared differences of the detail of the error.
 
     Parameters
     ----------
@@ -114,8 +114,9 @@ def similarity_weights(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    mean_weight, detail_weight : ndarray of shape (H, W), float64
-        Averaged over the channels. The sum of weight times square over all pixels approximates 1 - SSIM.
+    ndarray of shape (H, W, 3), float64
+        Of the mean, and of the detail's forward differences along columns and rows; averaged over the channels. The
+        sum of weight times square over all pixels approximates 1 - SSIM.
     """
     mean = _blur(psf)
     variance = np.maximum(_blur(psf * psf) - mean * mean, 0.0)
@@ -123,8 +124,10 @@ def similarity_weights(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
     counted[WINDOW_RADIUS:-WINDOW_RADIUS, WINDOW_RADIUS:-WINDOW_RADIUS] = 1.0
     counted /= counted.sum() * psf.shape[2]
     mean_weight = (counted / (2 * mean * mean + MEAN_CONSTANT)).sum(axis=2)
-    detail_weight = (counted / (2 * variance + VARIANCE_CONSTANT)).sum(axis=2)
-    return mean_weight, _blur(detail_weight)
+    detail_weight = _blur((counted / (2 * variance + VARIANCE_CONSTANT)).sum(axis=2))
+    # A forward difference lies half a pixel on, and the weights change steeply at the PSF's edges.
+    ahead = [0.5 * (detail_weight + np.roll(detail_weight, -1, axis=axis)) for axis in (1, 0)]
+    return np.stack([mean_weight, *ahead], axis=2)
 
 
 def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, group: tuple[Symmetry, ...]) -> Equations:
@@ -181,36 +184,44 @@ def _choose_samples(psf: FloatArray, members: IntArray, group: tuple[Symmetry, .
         end = STRIDES[index + 1][1] if index + 1 < len(STRIDES) else np.inf
         picked = np.argwhere((distance >= begin) & (distance < end)) - half
         picked = picked[(picked % stride == 0).all(axis=1)]
-        spread = [uniform_filter(weight, stride) if stride > 1 else weight for weight in weights]
+        spread = uniform_filter(weights, (stride, stride, 1)) if stride > 1 else weights
         offsets.append(picked)
-        scaled.append(np.stack([stride**2 * w[picked[:, 0] + half[0], picked[:, 1] + half[1]] for w in spread], -1))
+        scaled.append(stride**2 * spread[picked[:, 0] + half[0], picked[:, 1] + half[1]])
     offset, weight = np.concatenate(offsets), np.concatenate(scaled)
     chosen, repeats = representatives(offset, group)
     offset, weight = offset[chosen], weight[chosen] * repeats[:, None]
-    kept = _thin(len(offset))
-    offset, weight = offset[kept], np.sqrt(np.maximum(weight[kept], 0.0) * (len(offset) / len(kept)))
+    kept, share = _thin(free[tuple((offset + half).T)])
+    offset, weight = offset[kept], np.sqrt(np.maximum(weight[kept], 0.0) / share[:, None])
     return Samples(offset, weight, _targets(psf, offset + half, weight))
 
 
-def _thin(count: int) -> IntArray:
-    """Return the indices of at most `MAX_SAMPLES` of so many samples, spread over them by the golden ratio."""
-    if count <= MAX_SAMPLES:
-        return np.arange(count)
-    return np.unique((np.arange(MAX_SAMPLES) * GOLDEN % 1.0 * count).astype(np.int64))
+def _thin(between: npt.NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
+    """Keep the samples on points, lest a spike hide there, and some of those between; return how many each stands for.
+
+    Returns
+    -------
+    index : ndarray of shape (m,), int64
+        The kept samples, spread evenly over all of them by the golden ratio.
+    share : ndarray of shape (m,), float64
+        Fraction that was kept of their kind.
+    """
+    on_points, others = np.flatnonzero(~between), np.flatnonzero(between)
+    room = max(MAX_SAMPLES - len(on_points), 1)
+    share = 1.0
+    if len(others) > room:
+        others = others[np.unique((np.arange(room) * GOLDEN % 1.0 * len(others)).astype(np.int64))]
+        share = len(others) / np.count_nonzero(between)
+    return np.concatenate([on_points, others]), np.repeat([1.0, share], [len(on_points), len(others)])
 
 
 def _targets(psf: FloatArray, pixel_rc: IntArray, weight: FloatArray) -> FloatArray:
     """Return the weighted rows' values (S, 3, C) for the PSF itself."""
-    padded = np.pad(psf, ((0, 1), (0, 1), (0, 0)))
     row, column = pixel_rc.T
-    mean = _blur(psf)[row, column]
-    detail = np.stack([fftconvolve(padded[..., c], detail_filter(), mode="same") for c in range(psf.shape[2])], -1)
+    padded = np.pad(psf, ((0, 1), (0, 1), (0, 0)))
+    detail = np.stack([fftconvolve(plane, detail_filter(), mode="same") for plane in np.moveaxis(padded, 2, 0)], -1)
     here = detail[row, column]
-    out = np.empty((len(row), 3, psf.shape[2]))
-    out[:, 0] = weight[:, :1] * mean
-    out[:, 1] = weight[:, 1:] * (detail[row, column + 1] - here)
-    out[:, 2] = weight[:, 1:] * (detail[row + 1, column] - here)
-    return out
+    values = [_blur(psf)[row, column], detail[row, column + 1] - here, detail[row + 1, column] - here]
+    return np.asarray(weight[:, :, None] * np.stack(values, axis=1))
 
 
 def _blur(image: FloatArray) -> FloatArray:

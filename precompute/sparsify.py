@@ -37,7 +37,7 @@ PRICE_EXPONENT = 3.0
 """The price falls with this power of the density, so that twice the density about doubles the points."""
 
 WORST_LOSS = 0.03
-"""Loss of similarity, at density 1, beyond which no point is dropped at any price; it falls as the density grows."""
+"""Loss of similarity, at density 1, beyond which no point is dropped at any price; it falls with the density's root."""
 
 SMOOTHING = 1.0
 """Standard deviation, px, that keeps the tracing's noise out of the candidates."""
@@ -48,13 +48,16 @@ CANDIDATE_THRESHOLD = 1e-3
 MAX_ORBITS = 800
 """Most unknowns to start from; among more candidates, dart throwing chooses. The time grows with the third power."""
 
+ROUNDING = 1e-9
+"""Negative values up to this fraction of the peak count as zero."""
+
 DIRECT_COST = 0.5
 """Price of a pixel that is drawn directly, relative to a point of the Laplacian: neighbours are drawn in one run."""
 
-THIN_RADIUS = 2.0
-"""PSFs that hold no larger disc, px, are always cheaper drawn directly."""
+THIN_RADIUS = 3.5
+"""PSFs that hold no larger disc, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
-DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2, 6e-2, 0.1, 0.2)
+DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
 
@@ -91,10 +94,10 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     if not density > 0:
         raise InvalidParameterError(f"density must be above 0, not {density}")
     boxed = _on_box(_checked(psf))
-    price = PRICE * density**-PRICE_EXPONENT
+    price, limit = PRICE * density**-PRICE_EXPONENT, WORST_LOSS * density**-0.5
     results = []
     if float(distance_transform_edt(_support(boxed)).max()) > THIN_RADIUS:
-        results.append(_measured(boxed, _sparse_spreadlet(boxed, price, WORST_LOSS / density, seed)))
+        results.append(_measured(boxed, _sparse_spreadlet(boxed, price, limit, seed)))
     for threshold in DIRECT_THRESHOLDS:
         sparsity = float((boxed > threshold * boxed.max()).any(axis=2).sum() / _support(boxed).sum())
         # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
@@ -114,9 +117,9 @@ def _checked(psf: npt.ArrayLike) -> FloatArray:
     dense = dense[..., None] if dense.ndim == 2 else dense
     if dense.ndim != 3 or dense.shape[0] % 2 == 0 or dense.shape[1] % 2 == 0:
         raise InvalidParameterError(f"psf must have shape (H, W, C) with H and W odd, not {np.shape(psf)}")
-    if not np.isfinite(dense).all() or dense.min() < 0 or not dense.max() > 0:
+    if not np.isfinite(dense).all() or not dense.max() > 0 or dense.min() < -ROUNDING * dense.max():
         raise InvalidParameterError("psf must be finite, non-negative and not zero everywhere")
-    return dense
+    return np.maximum(dense, 0.0)
 
 
 def _on_box(psf: FloatArray) -> FloatArray:

@@ -25,23 +25,11 @@ def _run_end(variant, shift, row, col):
     return end
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def count_runs(variant, shift, wanted, counts):
-    """Count, for each row, the runs of wanted variants; see `fill_runs`."""
-    for row in numba.prange(variant.shape[0]):
-        count = 0
-        col = 0
-        while col < variant.shape[1]:
-            end = _run_end(variant, shift, row, col)
-            if variant[row, col] >= 0 and wanted[variant[row, col]]:
-                count += 1
-            col = end
-        counts[row] = count
-
-
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def fill_runs(variant, shift, wanted, first, runs):
+@numba.njit(cache=True, fastmath=False)
+def find_runs(variant, shift, wanted):
     """List the runs of neighbouring pixels in a row that share a variant and a shift.
+
+    Serial, as it takes a few milliseconds for a million pixels, and most passes are narrow strips.
 
     Parameters
     ----------
@@ -51,28 +39,35 @@ def fill_runs(variant, shift, wanted, first, runs):
         Displacement (row, col) of each pixel's splat centre, px; empty if there is none.
     wanted : ndarray of shape (n_variants,), bool
         The variants to list; runs of others are passed over.
-    first : ndarray of shape (H,), int64
-        Where each row's runs begin in the table.
-    runs : ndarray of shape (n_runs, 5), int32
-        Filled in raster order, see `RUN_SOURCE`.
+
+    Returns
+    -------
+    ndarray of shape (n_runs, 5), int32
+        In raster order, see `RUN_SOURCE`.
     """
-    width = variant.shape[1]
-    for row in numba.prange(variant.shape[0]):
-        place = first[row]
+    height, width = variant.shape
+    runs = np.empty((1024, 5), np.int32)
+    count = 0
+    for row in range(height):
         col = 0
         while col < width:
             end = _run_end(variant, shift, row, col)
             if variant[row, col] >= 0 and wanted[variant[row, col]]:
-                runs[place, 0] = row * width + col
-                runs[place, 1] = row
-                runs[place, 2] = col
+                if count == len(runs):
+                    longer = np.empty((2 * count, 5), np.int32)
+                    longer[:count] = runs
+                    runs = longer
+                runs[count, 0] = row * width + col
+                runs[count, 1] = row
+                runs[count, 2] = col
                 if shift.shape[0]:
-                    runs[place, 1] += shift[row, col, 0]
-                    runs[place, 2] += shift[row, col, 1]
-                runs[place, 3] = end - col
-                runs[place, 4] = variant[row, col]
-                place += 1
+                    runs[count, 1] += shift[row, col, 0]
+                    runs[count, 2] += shift[row, col, 1]
+                runs[count, 3] = end - col
+                runs[count, 4] = variant[row, col]
+                count += 1
             col = end
+    return runs[:count].copy()
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -113,22 +108,38 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
 
 
 @numba.njit(cache=True, fastmath=False)
-def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
-    """Do as `_draw_run` with a value for each of R, G and B; alpha takes their mean."""
+def _draw_coloured_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end):
+    """Do as `_draw_spaced_run` with a value for each of R, G and B; alpha takes their mean."""
     for p in range(begin, end):
         o = _U(target + point_offset[p])
         r, g, b = value[p, 0], value[p, 1], value[p, 2]
         a = (r + g + b) * np.float32(1.0 / 3.0)
-        for k in range(_U(0), n, _U(4)):
-            image[o + k] += r * radiance[source + k]
-            image[o + k + _U(1)] += g * radiance[source + k + _U(1)]
-            image[o + k + _U(2)] += b * radiance[source + k + _U(2)]
-            image[o + k + _U(3)] += a * radiance[source + k + _U(3)]
+        for k in range(source, source + n, _U(4)):
+            image[o] += r * radiance[k]
+            image[o + _U(1)] += g * radiance[k + _U(1)]
+            image[o + _U(2)] += b * radiance[k + _U(2)]
+            image[o + _U(3)] += a * radiance[k + _U(3)]
+            o += spacing
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_spaced_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end):
+    """Do as `_draw_run` with pixels ``spacing`` floats apart in the image."""
+    for p in range(begin, end):
+        o = _U(target + point_offset[p])
+        weight = value[p, 0]
+        for k in range(source, source + n, _U(4)):
+            r, g, b, a = image[o], image[o + _U(1)], image[o + _U(2)], image[o + _U(3)]
+            image[o] = r + weight * radiance[k]
+            image[o + _U(1)] = g + weight * radiance[k + _U(1)]
+            image[o + _U(2)] = b + weight * radiance[k + _U(2)]
+            image[o + _U(3)] = a + weight * radiance[k + _U(3)]
+            o += spacing
 
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_runs(image, radiance, runs, row_start, points, value, point_start, cols, band_rows):
+def splat_runs(image, radiance, runs, row_start, points, value, point_start, geometry, band_rows):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Bands of rows are independent (each is written by one thread only, in the order of the runs), so the result
@@ -150,10 +161,13 @@ def splat_runs(image, radiance, runs, row_start, points, value, point_start, col
         C is 1, or 3 (then alpha takes the mean of the three).
     point_start : ndarray of shape (n_variants + 1,), int64
         The points of each variant.
-    cols, band_rows : int
-        Width of the image, and height of a band.
+    geometry : tuple of two ints
+        Width of the image, px; distance at which the pixels of a run are drawn, px.
+    band_rows : int
+        Height of a band.
     """
     point_row, point_offset = points
+    cols, stride = geometry
     rows = row_start.shape[0] - 1
     reach = 0
     for p in range(point_row.shape[0]):
@@ -169,8 +183,72 @@ def splat_runs(image, radiance, runs, row_start, points, value, point_start, col
             target = 4 * (np.int64(row) * cols + runs[i, 2])
             n = _U(4) * _U(runs[i, 3])
             if value.shape[1] == 3:
-                _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end)
+                spacing = _U(4 * stride)
+                _draw_coloured_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end)
+            elif stride > 1:
+                spacing = _U(4 * stride)
+                _draw_spaced_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end)
             elif n == _U(4):
                 _draw_pixel(image, radiance, source, target, point_offset, value, begin, end)
             else:
                 _draw_run(image, radiance, source, target, n, point_offset, value, begin, end)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def add_spread(image, spaced, distance):
+    """Add an image and its copies moved down, right, and both, by a distance, px, to another; shapes (rows, cols, 4)."""
+    rows, width = image.shape[0], 4 * image.shape[1]
+    target = image.reshape(rows * width)
+    source = spaced.reshape(rows * width)
+    for row in numba.prange(rows):
+        here = _U(row * width)
+        above = _U(max(row - distance, 0) * width)
+        step = _U(4 * distance)
+        weight = np.float32(1.0) if row >= distance else np.float32(0.0)
+        for k in range(_U(0), min(step, _U(width))):
+            target[here + k] += source[here + k] + weight * source[above + k]
+        for k in range(step, _U(width)):
+            moved = k - step
+            beside = source[here + k] + source[here + moved]
+            target[here + k] += beside + weight * (source[above + k] + source[above + moved])
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
+    """Filter: every pixel of a run sums what lies under its own PSF, each point one contiguous multiply-add.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H * W * 4,), float32
+        Accumulated in place; each pixel belongs to one run only.
+    radiance : ndarray of shape (rows * cols * 4,), float32
+        Padded input.
+    runs : ndarray of shape (n_runs, 5), int32
+        The receiving pixels; the target row and column are those of the pixel in the padded input.
+    point_offset : ndarray of shape (n_points,), int64
+        Offset of each point in floats of the padded input.
+    value : ndarray of shape (n_points, C), float32
+        The PSF's pixels.
+    point_start : ndarray of shape (n_variants + 1,), int64
+    cols : int
+        Width of the padded input, px.
+    """
+    for i in numba.prange(runs.shape[0]):
+        variant = runs[i, 4]
+        target = _U(4) * _U(runs[i, 0])
+        centre = 4 * (np.int64(runs[i, 1]) * cols + runs[i, 2])
+        n = _U(4) * _U(runs[i, 3])
+        for p in range(point_start[variant], point_start[variant + 1]):
+            source = _U(centre + point_offset[p])
+            if value.shape[1] == 1:
+                weight = value[p, 0]
+                for k in range(n):
+                    image[target + _U(k)] += weight * radiance[source + _U(k)]
+            else:
+                r, g, b = value[p, 0], value[p, 1], value[p, 2]
+                a = (r + g + b) * np.float32(1.0 / 3.0)
+                for k in range(_U(0), n, _U(4)):
+                    image[target + k] += r * radiance[source + k]
+                    image[target + k + _U(1)] += g * radiance[source + k + _U(1)]
+                    image[target + k + _U(2)] += b * radiance[source + k + _U(2)]
+                    image[target + k + _U(3)] += a * radiance[source + k + _U(3)]

@@ -49,14 +49,14 @@ def border_passes(frame: SplatPass, reach: npt.NDArray[np.int64]) -> Iterator[Sp
 
 def _strip(frame: SplatPass, reach: npt.NDArray[np.int64], origin: tuple[int, int], colour: Image) -> SplatPass:
     """Return the pass of one strip, its labels those of the nearest pixels of the frame."""
-    variant = np.empty(colour.shape[:2], np.int32)
+    variant: npt.NDArray[np.int32] = np.empty(colour.shape[:2], np.int32)
     _plan_kernels.fill_border(frame.variant, reach, origin, variant)
     variant[~colour.any(axis=2)] = -1
     shift = NO_SHIFT
     if frame.shift is not NO_SHIFT:
         height, width = frame.variant.shape
-        rows = np.clip(origin[0] + np.arange(variant.shape[0]), 0, height - 1)
-        cols = np.clip(origin[1] + np.arange(variant.shape[1]), 0, width - 1)
+        rows = np.clip(origin[0] + np.arange(len(variant)), 0, height - 1)
+        cols = np.clip(origin[1] + np.arange(len(variant[0])), 0, width - 1)
         shift = np.ascontiguousarray(frame.shift[rows[:, None], cols])
     return SplatPass(origin, np.ascontiguousarray(colour), variant, shift)
 

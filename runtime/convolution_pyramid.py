@@ -1,21 +1,22 @@
-"""Poisson integrators: from a Laplacian image to the image.
+"""Poisson integrators: from a Laplacian image to the image, in time linear in its pixels.
 
-============  =======================================================================================================
-`exact`       Sine transforms on the padded box (`spreadlets.laplacian.solve_dirichlet`).
-`pyramid`     One pass down and one up a pyramid, like a convolution pyramid, but each level relaxes its answer against
-              its own source instead of adding a filtered copy of it. Filters and weights are optimised.
-`multigrid`   The pyramid, then the pyramid again on what is left of the Laplacian, `cycles` times.
-`pyramid-f5`  Farbman et al. 2011, "Convolution Pyramids", as published.
-`pyramid-f7`
-============  =======================================================================================================
+- `pyramid`: one pass down and one pass up a pyramid. It is a convolution pyramid whose levels relax the interpolated
+  coarser answer against their own source with a few Jacobi steps, where a published one adds a filtered copy of the
+  source. Filters and weights are optimised for the 5-point stencil (`benchmarks/optimise_pyramid.py`).
+- `multigrid`: the pyramid, then `cycles` times the pyramid again on what is left of the Laplacian.
+- `pyramid-f5`, `pyramid-f7`: Farbman et al. 2011, "Convolution Pyramids", as published.
+- `exact`: sine transforms on the padded box. Not quite linear, but the yardstick.
 
-Boundary: `exact`, `pyramid` and `multigrid` hold the image at zero on a ring of pixels around the array, at its upper and
-left sides just outside, at the lower and right sides up to a few per cent of the size further out, where the array is
-padded to a size that the levels divide evenly. Every level continues its arrays across that ring by odd reflection, so
-all levels, and the stencil of the residual, mean the same problem and the cycles converge to the exact answer. That
-answer is the free-space one as far as the sources' field has died off at the ring: the field of an exact Laplacian is
-zero outside its shape, and that of a fitted spreadlet falls off with the third power of the distance.
-The published pyramids are free-space by construction.
+Boundary: `exact`, `pyramid` and `multigrid` hold the image at zero on a ring of pixels around the array. At the upper
+and left sides it lies just outside; at the lower and right sides it may lie a few per cent of the size further out,
+where the array is padded to a size that the levels divide evenly. Every level continues its arrays across the ring by
+odd reflection, so all levels and the stencil of the residual mean the same problem, and the cycles converge to the
+exact answer. That is the free-space answer as far as the sources' field has died off at the ring: that of an exact
+Laplacian is zero outside its shape, that of a fitted spreadlet falls with the third power of the distance. The
+published pyramids are free-space by construction.
+
+Precision: float32 throughout. The residual is a sum of differences, so the cycles end near 1e-6 relative L2, no worse
+than `exact`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -45,8 +46,12 @@ DEFAULT_METHOD = "pyramid"
 DEFAULT_CYCLES = 2
 
 COARSEST_SIDE = 32
-"""Levels stop before the shorter side gets below this; the coarsest is solved exactly, and it takes under 1 % of the time.
-A smaller coarsest level would waste more pixels on dividing the size evenly."""
+"""Levels end before the shorter side gets below this, and the coarsest is solved exactly in under 1 % of the time. A
+smaller one would waste more pixels on dividing the size evenly. Smaller images have no levels: they are solved exactly.
+"""
+
+SERIAL_SIZE = 100_000
+"""Levels of fewer floats than this run on one thread: they take less than a busy machine needs to wake another."""
 
 LONGEST_ODD_SIDE = 128
 """Sides above this are padded to a fast transform length before an exact solve."""
@@ -115,14 +120,14 @@ class LevelFilters:
 
 # Found by benchmarks/optimise_pyramid.py.
 FINEST_FILTERS = LevelFilters(
-    down=(0.17224, 0.02171),
-    up=(-0.21831, -0.10739),
-    weights=(0.6475, 0.3376, 0.2297, 0.1601, 0.1309),
+    down=(0.17756, 0.02515),
+    up=(-0.27606, -0.08837),
+    weights=(0.61352, 0.3228, 0.22377, 0.15721, 0.13097),
 )
 COARSER_FILTERS = LevelFilters(
-    down=(0.19285, 0.03212),
-    up=(-0.04114, -0.20423),
-    weights=(1.4571, 0.7124, 0.7124, 0.2537, 0.1989, 0.1354),
+    down=(0.19801, 0.03582),
+    up=(-0.04277, -0.21613),
+    weights=(1.21389, 0.71416, 0.71413, 0.22379, 0.22377, 0.13523),
 )
 
 
@@ -196,9 +201,10 @@ def integrate(
 
 @dataclass
 class Integrator:
-    """A Poisson integrator that keeps its buffers: after the first image of a size it allocates nothing but results.
+    """A Poisson integrator that keeps its buffers.
 
-    Parameters are those of `integrate`. Not for use by several threads at once.
+    After the first image of a size it allocates only results, and what scipy needs for `exact`. Parameters are those of
+    `integrate`. Not for use by several threads at once.
 
     Attributes
     ----------
@@ -222,30 +228,36 @@ class Integrator:
         """Integrate an image; arguments, result and errors are those of `integrate`."""
         source = _checked_source(laplacian_image)
         out = np.empty_like(source) if out is None else _checked_out(out, source)
-        threads = self._checked_threads()
-        key = (self.method, source.shape, threads)
-        if self._solver is None or self._solver.key != key:
-            self._solver = _make_solver(*key)
+        self._check_parameters()
         before = numba.get_num_threads()
-        numba.set_num_threads(threads)
         try:
+            threads = _use_threads(self.threads)
+            key = (self.method, source.shape, threads)
+            if self._solver is None or self._solver.key != key:
+                self._solver = _make_solver(key)
             self.report = self._solver.solve(source, out, self.cycles, self.tolerance)
         finally:
             numba.set_num_threads(before)
         _warn_of_net_source(self.report.net_source)
         return out
 
-    def _checked_threads(self) -> int:
+    def _check_parameters(self) -> None:
         if self.method not in METHODS:
             raise InvalidParameterError(f"method is {self.method!r}; the integrators are {', '.join(METHODS)}")
         if self.cycles < 0:
             raise InvalidParameterError(f"cycles is {self.cycles}; give 0 or more")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InvalidParameterError(f"tolerance is {self.tolerance}; give a residual of 0 or more, or None")
-        most = numba.config.NUMBA_NUM_THREADS
-        if self.threads is not None and not 1 <= self.threads <= most:
-            raise InvalidParameterError(f"threads is {self.threads}; the allowed range is 1 to {most}")
-        return self.threads or int(numba.get_num_threads())
+
+
+def _use_threads(threads: int | None) -> int:
+    """Set numba's number of threads; return it."""
+    if threads is not None:
+        try:
+            numba.set_num_threads(threads)
+        except (ValueError, TypeError) as error:
+            raise InvalidParameterError(f"threads is {threads!r}; {error}") from error
+    return int(numba.get_num_threads())
 
 
 def _checked_source(laplacian_image: NDArray[Any]) -> Image:
@@ -274,8 +286,8 @@ def _checked_out(out: Image, source: Image) -> Image:
 def _warn_of_net_source(net_source: float) -> None:
     if net_source > NET_SOURCE_TOLERANCE:
         warnings.warn(
-            f"a channel of the Laplacian sums to {net_source:.2g} of the image's largest value; it has no answer that is "
-            "zero at infinity, so the image was held at zero around the array. Neutral sources must not be cut off",
+            f"a channel of the Laplacian sums to {net_source:.2g} times the image's largest value, so no answer is "
+            "zero at infinity; it was held at zero around the array. Give whole, neutral sources, off the sides",
             UnbalancedSourceWarning,
             stacklevel=3,
         )
@@ -290,6 +302,11 @@ def _ratio(value: float, scale: float) -> float:
     return value / scale if scale > 0 else (math.inf if value > 0 else 0.0)
 
 
+def _largest_sum(sums: NDArray[np.float32]) -> float:
+    """Largest magnitude, over the channels, of what rows sum to."""
+    return float(np.abs(sums.sum(axis=0, dtype=np.float64)).max())
+
+
 def _rows(image: Image) -> Rows:
     return image.reshape(image.shape[0], -1)
 
@@ -301,8 +318,8 @@ def _require_finite(magnitude: float, source: Image) -> None:
     bad = np.argwhere(~np.isfinite(source))
     if len(bad):
         raise InvalidParameterError(
-            f"the Laplacian image has {len(bad)} values that are not finite in float32, the first at (row, col, channel) "
-            f"{tuple(int(i) for i in bad[0])}"
+            f"the Laplacian image has {len(bad)} values that are not finite in float32, the first at "
+            f"(row, col, channel) {tuple(int(i) for i in bad[0])}; mend or drop them"
         )
     raise InvalidParameterError(
         f"the answer exceeds the range of float32: the Laplacian reaches {float(np.abs(source).max()):.3g}; "
@@ -314,34 +331,42 @@ SolverKey = tuple[str, tuple[int, ...], int]
 """What a solver's buffers are made for: method, shape of the image, number of threads."""
 
 
-class _Solver:
-    """Buffers of one method for one shape and number of threads."""
+class _Solver(Protocol):
+    """Buffers and procedure of one method for one shape and number of threads."""
 
-    def __init__(self, key: SolverKey) -> None:
-        self.key = key
-        _, (height, width, n_channels), threads = key
-        self.sums = np.empty((height, n_channels), np.float32)
-        self.largest = np.empty(height, np.int32)
-        self.spare = np.empty((threads, 1, width * n_channels), np.float32)
+    key: SolverKey
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         """Write the image to `out`."""
-        raise NotImplementedError
 
-    def measure(self, image: Image) -> tuple[float, float]:
-        """Largest magnitude, over the channels, of an image's sum, and its largest value's magnitude."""
-        kernels.measure(_rows(image), image.shape[2], self.sums, self.largest, self.spare)
-        return float(np.abs(self.sums.sum(axis=0, dtype=np.float64)).max()), _magnitude(self.largest)
+
+class _Meter:
+    """Measures whole images for the methods that do not do so in passing."""
+
+    def __init__(self, shape: tuple[int, ...], threads: int) -> None:
+        height, width, n_channels = shape
+        self.sums = np.empty((height, n_channels), np.float32)
+        self.largest = np.empty(height, np.int32)
+        self.scratch = np.empty((threads, 1, width * n_channels), np.float32)
+
+    def net_source(self, source: Image) -> float:
+        """Largest magnitude, over the channels, of the sum of a source; refuse values that are not finite."""
+        _require_finite(self._measure(source), source)
+        return _largest_sum(self.sums)
 
     def report(self, net: float, source: Image, out: Image) -> IntegrationReport:
-        """Refuse an answer that is not finite; otherwise report on it."""
-        largest = self.measure(out)[1]
+        """Report on a direct solve; refuse an answer that is not finite."""
+        largest = self._measure(out)
         _require_finite(largest, source)
         return IntegrationReport(cycles=0, residual=None, net_source=_ratio(net, largest))
 
+    def _measure(self, image: Image) -> float:
+        kernels.measure(_rows(image), image.shape[2], self.sums, self.largest, self.scratch)
+        return _magnitude(self.largest)
 
-def _make_solver(method: str, shape: tuple[int, ...], threads: int) -> _Solver:
-    key = (method, shape, threads)
+
+def _make_solver(key: SolverKey) -> _Solver:
+    method, shape, _ = key
     if method in PUBLISHED_FILTERS:
         return _PublishedSolver(key)
     if method == "exact" or min(shape[:2]) < 2 * COARSEST_SIDE - 1:
@@ -354,25 +379,31 @@ def _fast_side(side: int) -> int:
     return side if side <= LONGEST_ODD_SIDE else int(next_fast_len(side + 1, real=True)) - 1
 
 
-class _ExactSolver(_Solver):
+class _ExactSolver:
     """Sine transforms on the array, padded to a fast size."""
 
+    def __init__(self, key: SolverKey) -> None:
+        self.key = key
+        self.meter = _Meter(key[1], key[2])
+
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
-        _, (height, width, n_channels), threads = self.key
-        net, largest = self.measure(source)
-        _require_finite(largest, source)
+        (height, width, n_channels), threads = self.key[1:]
+        net = self.meter.net_source(source)
         padded = np.zeros((_fast_side(height), _fast_side(width), n_channels), np.float32)
         padded[:height, :width] = source
-        out[:] = solve_dirichlet(padded, workers=threads, overwrite=True)[:height, :width]
-        return self.report(net, source, out)
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Overflow is found, and reported in words, below.
+            out[:] = solve_dirichlet(padded, workers=threads, overwrite=True)[:height, :width]
+        return self.meter.report(net, source, out)
 
 
-class _PublishedSolver(_Solver):
+class _PublishedSolver:
     """A convolution pyramid as published, on as many levels as the longer side has binary digits."""
 
     def __init__(self, key: SolverKey) -> None:
-        super().__init__(key)
+        self.key = key
         method, (height, width, n_channels), threads = key
+        self.meter = _Meter(key[1], threads)
         filters = PUBLISHED_FILTERS[method]
         self.pad = filters.pad
         self.down, self.up, self.own = (
@@ -391,8 +422,7 @@ class _PublishedSolver(_Solver):
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         n_channels, pad, scratch = source.shape[2], self.pad, self.scratch
-        net, largest = self.measure(source)
-        _require_finite(largest, source)
+        net = self.meter.net_source(source)
         scratch[:] = 0
         sources, answers = [_rows(source), *self.sources], [_rows(out), *self.answers]
         for fine, coarse in zip(sources, sources[1:], strict=False):
@@ -403,7 +433,7 @@ class _PublishedSolver(_Solver):
         for level in reversed(range(len(sources) - 1)):
             up, own = (self.up, self.own) if level else (self.last_up, self.last_own)
             kernels.filter_up(answers[level + 1], sources[level], answers[level], up, own, pad, n_channels, scratch)
-        return self.report(net, source, out)
+        return self.meter.report(net, source, out)
 
 
 def _level_shapes(height: int, width: int) -> list[tuple[int, int]]:
@@ -414,11 +444,11 @@ def _level_shapes(height: int, width: int) -> list[tuple[int, int]]:
     return [((coarsest[0] + 1) * 2**k - 1, (coarsest[1] + 1) * 2**k - 1) for k in reversed(range(halvings + 1))]
 
 
-class _LevelSolver(_Solver):
+class _LevelSolver:
     """The optimised pyramid, and the multigrid cycle that it makes."""
 
     def __init__(self, key: SolverKey) -> None:
-        super().__init__(key)
+        self.key = key
         method, (height, width, n_channels), threads = key
         self.repeats = method == "multigrid"
         self.shapes = _level_shapes(height, width)
@@ -446,7 +476,7 @@ class _LevelSolver(_Solver):
         cycles, tolerance = (cycles, tolerance) if self.repeats else (0, None)
         scale = self._coarsen(0, rows, self.nothing, True)
         _require_finite(scale, source)
-        net = float(np.abs(self.sums.sum(axis=0, dtype=np.float64)).max())
+        net = _largest_sum(self.sums)
         image, residual, done = self.nothing, None, 0
         while True:
             self._solve_coarser_levels()
@@ -473,19 +503,30 @@ class _LevelSolver(_Solver):
             self.images.append(np.empty((height, width * self.key[1][2]), np.float32))
         return self.images[index]
 
+    def _bands(self, level: int) -> slice:
+        """Choose the number of threads for a level: which bands of the scratch arrays it uses."""
+        rows, cols = self.shapes[level]
+        threads = self.key[2] if rows * cols * self.key[1][2] >= SERIAL_SIZE else 1
+        numba.set_num_threads(threads)
+        return slice(threads)
+
     def _coarsen(self, level: int, source: Rows, image: Rows, measured: bool = False) -> float:
-        """Filter a level's remaining source down to the next; return its largest magnitude."""
-        coarse, taps = self.sources[level], self.down[min(level, 1)]
+        """Filter a level's remaining source down to the next; return its largest magnitude if that is measured."""
+        coarse, taps, scratch = self.sources[level], self.down[min(level, 1)], self.coarsen_scratch[self._bands(level)]
         sums = self.sums[: None if measured else 0]
-        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, self.largest, self.coarsen_scratch)
+        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, self.largest, scratch)
         return _magnitude(self.largest)
 
     def _relax(self, level: int, image: Rows, source: Rows, out: Rows) -> float:
         """Add the next level's answer to an image and relax it; return the largest magnitude of the outcome."""
-        kind = min(level, 1)
-        taps, weights, scratch = self.up[kind], self.weights[kind], self.relax_scratch
-        largest = self.band_largest
-        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch)
+        kind, bands = min(level, 1), self._bands(level)
+        taps, weights, largest, scratch = (
+            self.up[kind],
+            self.weights[kind],
+            self.band_largest[bands],
+            self.relax_scratch,
+        )
+        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch[bands])
         return _magnitude(largest)
 
     def _solve_coarser_levels(self) -> None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from runtime import _plan_kernels
 from runtime.border import border_passes
+from runtime.merge import merge_passes
 from runtime.splat import PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
@@ -62,6 +63,8 @@ class Plan:
     cells_used : set of int
     pixels_skipped : int
         Pixels of the frame that contribute nothing.
+    error_bound : float
+        Bound on the change of the displayed image by drawing blocks of pixels as one.
     left_out : list of str
         What this layer does not need.
     """
@@ -71,17 +74,22 @@ class Plan:
     padding: int
     cells_used: set[int]
     pixels_skipped: int
+    error_bound: float = 0.0
     left_out: list[str] = field(default_factory=list)
 
     def counts(self) -> dict[str, int]:
-        """Return the numbers of pixels drawn sparse and dense, and of the points that they draw."""
-        drawn = np.zeros(len(self.table.direct), np.int64)
+        """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw."""
+        drawn, splats, merged = np.zeros((3, len(self.table.direct)), np.int64)
         for source in self.passes:
-            drawn += np.bincount(source.variant.ravel() + 1, minlength=len(drawn) + 1)[1:]
+            count = np.bincount(source.variant.ravel() + 1, minlength=len(drawn) + 1)[1:]
+            splats += count
+            drawn += count * source.stride**2
+            merged += count * source.stride**2 if source.stride > 1 else 0
         return {
             "pixels_sparse": int(drawn[~self.table.direct].sum()),
             "pixels_dense": int(drawn[self.table.direct].sum()),
-            "points_splatted": int((drawn * self.table.n_points).sum()),
+            "pixels_merged": int(merged.sum()),
+            "points_splatted": int((splats * self.table.n_points).sum()),
         }
 
 
@@ -96,7 +104,7 @@ def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool)
     return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift)
 
 
-def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: DensePsf | None) -> Plan:
+def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: float, dense_psf: DensePsf | None) -> Plan:
     """Decide the variant of each pixel, read just the cells in use, and lay out the passes to draw.
 
     Parameters
@@ -107,6 +115,8 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: Dens
         Their PSF parameters.
     database : Database
         The spreadlets.
+    tolerance : float
+        See `runtime.merge.merge_passes`.
     dense_psf : callable or None
         If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
 
@@ -124,12 +134,16 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, dense_psf: Dens
     variants = [_decode(int(each), database) for each in used]
     table = _point_table(list(variant_points(variants, database, dense_psf)), database.n_channels)
     passes = [each for frame in _passes(layer.radiance, index, labels.shift) for each in _with_border(frame, table)]
+    error_bound = 0.0
+    if dense_psf is None:
+        passes, error_bound = _merged(passes, variants, table, database, tolerance)
     plan = Plan(
         passes=passes,
         table=table,
         padding=_padding(passes, table, index.shape),
         cells_used={variant.cell for variant in variants if variant != SHARP},
         pixels_skipped=int(visible.size - visible.sum()),
+        error_bound=error_bound,
     )
     plan.left_out = _left_out(plan, labels, variants)
     return plan
@@ -237,13 +251,27 @@ def _with_border(frame: SplatPass, table: PointTable) -> list[SplatPass]:
     return [frame, *border_passes(frame, table.reaches() + moved)]
 
 
+def _merged(
+    passes: list[SplatPass], variants: list[Variant], table: PointTable, database: Database, tolerance: float
+) -> tuple[list[SplatPass], float]:
+    """Merge blocks of like pixels in every pass; return all passes and the bound on the change."""
+    stored = database.statistics()["total_variation"]
+    variation = np.full(len(variants), np.inf, np.float32)
+    for number, variant in enumerate(variants):
+        if not table.direct[number]:
+            # A PSF stretched by s is lower by s^2 and its outline longer by s.
+            variation[number] = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
+    merged = [merge_passes(each, variation, tolerance) for each in passes]
+    return [each for group, _ in merged for each in group], max((bound for _, bound in merged), default=0.0)
+
+
 def _padding(passes: list[SplatPass], table: PointTable, shape: tuple[int, ...]) -> int:
     """Return how far the splats of all passes can reach beyond the frame, px."""
     padding = 0
     for each in passes:
         drawn = np.zeros(len(table.direct), np.bool_)
         drawn[each.variant[each.variant >= 0]] = True
-        last = [first + size for first, size in zip(each.origin, each.variant.shape, strict=True)]
+        last = [first + size * each.stride for first, size in zip(each.origin, each.variant.shape, strict=True)]
         beyond = max(0, -min(each.origin), last[0] - shape[0], last[1] - shape[1])
         moved = int(np.abs(each.shift).max(initial=0))
         padding = max(padding, beyond + moved + int(table.reaches()[drawn].max(initial=0)))

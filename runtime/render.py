@@ -15,7 +15,8 @@ import numpy.typing as npt
 from runtime.composite import over, reweight
 from runtime.convolution_pyramid import METHODS, integrate
 from runtime.plan import Plan, label_pixels, plan_layer
-from runtime.splat import splat
+from runtime._kernels import add_spread
+from runtime.splat import gather, splat
 from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
@@ -23,6 +24,8 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame, Layer
 
 DEFAULT_INTEGRATOR = "exact"
+DEFAULT_TOLERANCE = 0.004
+"""One step of an 8-bit display."""
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
 
@@ -77,7 +80,9 @@ def synthesize(
     defocus: bool = True,
     motion: bool = True,
     integrator: str = DEFAULT_INTEGRATOR,
+    tolerance: float = DEFAULT_TOLERANCE,
     dense_psf: DensePsf | None = None,
+    filtering: bool = False,
     clock: Clock | None = None,
 ) -> tuple[Image, dict[str, Any]]:
     """Blur a frame as the camera's lens and shutter would have.
@@ -94,8 +99,12 @@ def synthesize(
         Whether to apply each effect.
     integrator : str
         Poisson solver, see `runtime.convolution_pyramid.integrate`.
+    tolerance : float
+        Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
     dense_psf : callable or None
-        If given, PSFs are drawn in full from it: method ``dense``.
+        If given, PSFs are drawn in full from it, every pixel by itself: method ``dense``.
+    filtering : bool
+        Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
     clock : Clock or None
         Where the steps' times are added.
 
@@ -112,14 +121,20 @@ def synthesize(
     """
     if integrator not in METHODS:
         raise InvalidParameterError(f"integrator {integrator!r} is unknown: allowed are {', '.join(METHODS)}")
+    if not 0.0 <= tolerance < 1.0:
+        raise InvalidParameterError(f"tolerance is {tolerance}: allowed are 0 (off) to below 1 (the displayed range)")
     clock = clock or Clock()
     composite: Image | None = None
     plans = []
     for layer in frame.layers:
         with clock.step("plan"):
             labels = label_pixels(layer, camera, defocus=defocus, motion=motion)
-            plan = plan_layer(layer, labels, database, dense_psf)
-        image = _render_layer(layer, plan, integrator, clock)
+            plan = plan_layer(layer, labels, database, tolerance, dense_psf)
+        if filtering:
+            with clock.step("splat"):
+                image = gather(plan.passes[0], plan.table)
+        else:
+            image = _render_layer(layer, plan, integrator, clock)
         with clock.step("composite"):
             composite = image if composite is None else over(composite, image)
         plans.append(plan)
@@ -131,21 +146,34 @@ def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Im
     """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight."""
     height, width = layer.depth.shape
     padding = plan.padding + SOLVER_MARGIN
-    shape = (height + 2 * padding, width + 2 * padding, 4)
-    padded = np.zeros(shape, np.float32)
+    padded = np.zeros((height + 2 * padding, width + 2 * padding, 4), np.float32)
     if not plan.table.direct.all():
         with clock.step("splat"):
-            for source in plan.passes:
-                splat(padded, source, plan.table, padding, ~plan.table.direct)
+            _splat_laplacian(padded, plan, padding)
         with clock.step("integrate"):
             padded = integrate(padded, integrator)
     if plan.table.direct.any():
         with clock.step("splat"):
             for source in plan.passes:
-                splat(padded, source, plan.table, padding, plan.table.direct)
+                if source.stride == 1:
+                    splat(padded, source, plan.table, padding, plan.table.direct)
     with clock.step("composite"):
         inside = padded[padding : padding + height, padding : padding + width].copy()
         return reweight(inside, opaque=bool((layer.radiance[..., 3] == 1.0).all()))
+
+
+def _splat_laplacian(padded: Image, plan: Plan, padding: int) -> None:
+    """Splat the Laplacian of all passes: blocks into images of their own, spread over their area afterwards."""
+    sparse = ~plan.table.direct
+    blocks: Image | None = None
+    for stride in sorted({source.stride for source in plan.passes}, reverse=True):
+        image = padded if stride == 1 else np.zeros_like(padded)
+        for source in plan.passes:
+            if source.stride == stride:
+                splat(image, source, plan.table, padding, sparse)
+        if blocks is not None:
+            add_spread(image, blocks, stride)
+        blocks = image
 
 
 def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, Any]:
@@ -158,6 +186,7 @@ def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, An
         "cells_used": len(set.union(*(plan.cells_used for plan in plans))),
         "cells_total": database.n_cells,
         "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
+        "error_bound": max(plan.error_bound for plan in plans),
         "padding_px": max(plan.padding for plan in plans) + SOLVER_MARGIN,
         "left_out": [name for name in plans[0].left_out if name in left_out],
     }

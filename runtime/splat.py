@@ -65,12 +65,15 @@ class SplatPass(NamedTuple):
         Variant of each pixel, negative where nothing is drawn.
     shift : ndarray of shape (H, W, 2), int32, or `NO_SHIFT`
         Displacement (row, col) of the splat's centre from the pixel, px.
+    stride : int
+        Distance of neighbouring pixels in the frame, px: above 1 they stand for the first pixels of blocks.
     """
 
     origin: tuple[int, int]
     radiance: npt.NDArray[np.float32]
     variant: npt.NDArray[np.int32]
     shift: npt.NDArray[np.int32] = NO_SHIFT
+    stride: int = 1
 
 
 def splat(
@@ -91,12 +94,13 @@ def splat(
     wanted : ndarray of shape (n_variants,), bool
         The variants to draw.
     """
-    runs = _find_runs(source, wanted)
+    runs = _kernels.find_runs(source.variant, source.shift, wanted)
     if not len(runs):
         return
     rows, cols = image.shape[:2]
-    runs[:, _kernels.RUN_ROW] += padding + source.origin[0]
-    runs[:, _kernels.RUN_COL] += padding + source.origin[1]
+    for column, first in ((_kernels.RUN_ROW, source.origin[0]), (_kernels.RUN_COL, source.origin[1])):
+        runs[:, column] *= source.stride
+        runs[:, column] += padding + first
     if source.shift is not NO_SHIFT:
         runs = np.ascontiguousarray(runs[np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")])
     row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], np.arange(rows + 1)).astype(np.int64)
@@ -110,15 +114,35 @@ def splat(
         points,
         table.value,
         table.point_start,
-        cols,
+        (cols, source.stride),
         BAND_ROWS,
     )
 
 
-def _find_runs(source: SplatPass, wanted: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """List the runs of a pass in raster order, shape (n_runs, 5)."""
-    counts = np.empty(len(source.variant), np.int64)
-    _kernels.count_runs(source.variant, source.shift, wanted, counts)
-    runs = np.empty((int(counts.sum()), 5), np.int32)
-    _kernels.fill_runs(source.variant, source.shift, wanted, np.cumsum(counts) - counts, runs)
-    return runs
+def gather(source: SplatPass, table: PointTable) -> npt.NDArray[np.float32]:
+    """Filter a layer: each pixel becomes the mean of its surroundings under its own PSF (LKS section 7, FILTERING).
+
+    Parameters
+    ----------
+    source : SplatPass
+        The pixels of the frame; shifts are ignored, as a filter has no place to move light to.
+    table : PointTable
+        Direct points of the variants.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 4), float32
+        Zero where the variant is negative. Beyond the border the frame's edge is repeated.
+    """
+    padding = table.reach()
+    padded = np.pad(source.radiance, ((padding, padding), (padding, padding), (0, 0)), mode="edge")
+    runs = _kernels.find_runs(source.variant, NO_SHIFT, np.ones(len(table.direct), np.bool_))
+    runs[:, [_kernels.RUN_ROW, _kernels.RUN_COL]] += padding
+    # A filter mirrors its kernel: the light under offset d is light that a splat would have moved by -d.
+    row, col = -table.offset_rc.T.astype(np.int64)
+    cols = padded.shape[1]
+    image = np.zeros_like(source.radiance)
+    _kernels.gather_runs(
+        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.value, table.point_start, cols
+    )
+    return image

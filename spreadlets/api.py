@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Image = npt.NDArray[np.float32]
 
-METHODS = ("spreadlets", "dense")
+METHODS = ("spreadlets", "dense", "gather")
 
 
 @overload
@@ -31,6 +31,7 @@ def synthesize(
     report: Literal[False] = ...,
     method: str = ...,
     integrator: str | None = ...,
+    tolerance: float | None = ...,
     defocus: bool = ...,
     motion: bool = ...,
     clock: Clock | None = ...,
@@ -46,6 +47,7 @@ def synthesize(
     report: Literal[True],
     method: str = ...,
     integrator: str | None = ...,
+    tolerance: float | None = ...,
     defocus: bool = ...,
     motion: bool = ...,
     clock: Clock | None = ...,
@@ -59,6 +61,7 @@ def synthesize(
     *,
     method: str = "spreadlets",
     integrator: str | None = None,
+    tolerance: float | None = None,
     defocus: bool = True,
     motion: bool = True,
     report: bool = False,
@@ -75,10 +78,15 @@ def synthesize(
     database : Database or str, optional
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
         ``"simplelens"``.
-    method : {"spreadlets", "dense"}
-        Sparse Laplacian splatting, or the same PSFs drawn in full (the quality ceiling).
+    method : {"spreadlets", "dense", "gather"}
+        Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling); or filtering with the PSF of the
+        receiving pixel.
     integrator : str, optional
         Poisson solver; by default the one that `runtime.render.DEFAULT_INTEGRATOR` names.
+    tolerance : float, optional
+        Error of the displayed image, as a share of its range, that may be traded for speed by drawing blocks of like
+        pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display. The other
+        methods always treat every pixel by itself.
     defocus, motion : bool
         Whether to apply each effect.
     report : bool
@@ -116,7 +124,9 @@ def synthesize(
             defocus=defocus,
             motion=motion,
             integrator=integrator or render.DEFAULT_INTEGRATOR,
-            dense_psf=_dense_psf(opened) if method == "dense" else None,
+            tolerance=render.DEFAULT_TOLERANCE if tolerance is None else tolerance,
+            dense_psf=None if method == "spreadlets" else _dense_psf(opened),
+            filtering=method == "gather",
             clock=clock,
         )
     finally:
@@ -130,6 +140,13 @@ def build_database(model: str, path: str | os.PathLike[str], **options: Any) -> 
     from precompute.build import build_database as build
 
     build(model, path, **options)
+
+
+def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
+    """Draw the quality of an open database as a PNG file; see `spreadlets.plot.plot_database`."""
+    from spreadlets.plot import plot_database as plot
+
+    plot(database, path, _dense_psf(database))
 
 
 def _default_database(frame: Frame, motion: bool) -> str:

@@ -58,15 +58,19 @@ def build(model: str, output: str, density: str, as_json: bool, **options: Any) 
 
 @cli.command()
 @click.argument("database", metavar="DB")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells to this file (PNG).")
 @json_option
-def info(database: str, as_json: bool) -> None:
+def info(database: str, plot: str | None, as_json: bool) -> None:
     """Show what a database holds and how good it is; DB is a file or a shipped name.
 
-    Example: spreadlets info combined
+    Example: spreadlets info combined --plot combined.png
     """
+    from spreadlets.api import plot_database
     from spreadlets.database import open_database
 
     with open_database(database) as opened:
+        if plot:
+            plot_database(opened, plot)
         _print(opened.summary(), as_json)
 
 
@@ -75,8 +79,14 @@ def info(database: str, as_json: bool) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help="The image to write (EXR).")
 @click.option("--camera", "camera_path", required=True, type=click.Path(dir_okay=False), help="Camera file (JSON).")
 @click.option("--db", "database", help="Database: a file or a shipped name.")
-@click.option("--method", default="spreadlets", show_default=True, help="spreadlets, or dense (PSFs drawn in full).")
+@click.option(
+    "--method",
+    default="spreadlets",
+    show_default=True,
+    help="spreadlets, dense (PSFs drawn in full) or gather (filtering).",
+)
 @click.option("--integrator", help="Poisson solver: exact, pyramid-f5 or pyramid-f7.")
+@click.option("--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
 @click.option("--colour-layer", help="Name of the colour layer, if there are several.")
@@ -96,6 +106,7 @@ def synth(
     database: str | None,
     method: str,
     integrator: str | None,
+    tolerance: float | None,
     reference: str | None,
     motion_channels: str | None,
     as_json: bool,
@@ -124,6 +135,7 @@ def synth(
         database,
         method=method,
         integrator=integrator,
+        tolerance=tolerance,
         defocus=not no_defocus,
         motion=not no_motion,
         report=True,

@@ -20,7 +20,7 @@ from spreadlets.spreadlet import Spreadlet
 
 FORMAT_NAME = "spreadlets"
 SCHEMA_VERSION = 1
-STATISTICS = ("n_support", "sparsity", "ssim", "l1", "energy_error", "max_value_ratio")
+STATISTICS = ("n_support", "sparsity", "ssim", "l1", "energy_error", "max_value_ratio", "total_variation")
 """Names of the figures that every stored spreadlet carries, in the file's column order."""
 
 MAX_CELLS = 1_000_000

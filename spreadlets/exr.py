@@ -283,7 +283,7 @@ def write_image(
         channels = {name: np.clip(plane, -HALF_MAX, HALF_MAX) for name, plane in channels.items()}
     stored = {name: np.ascontiguousarray(plane, np.float16 if half else np.float32) for name, plane in channels.items()}
     header = {**_checked_metadata(metadata or {}), **_part_header()}
-    with _atomic_path(path, ".exr") as temporary, _library_messages():
+    with atomic_path(path, ".exr") as temporary, _library_messages():
         OpenEXR.File(header, stored).write(str(temporary))
 
 
@@ -307,7 +307,7 @@ def write_frame(path: PathLike, frame: Frame) -> None:
         OpenEXR.Part({**_part_header(), "name": f"layer{index}"}, _frame_channels(layer))
         for index, layer in enumerate(frame.layers)
     ]
-    with _atomic_path(path, ".exr") as temporary, _library_messages():
+    with atomic_path(path, ".exr") as temporary, _library_messages():
         OpenEXR.File(parts).write(str(temporary))
 
 
@@ -332,7 +332,7 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
 
     encoded = display_encode(image_array("radiance", radiance)[..., :3])
     pixels = np.rint(255 * np.nan_to_num(encoded)).astype(np.uint8)
-    with _atomic_path(path, ".png") as temporary:
+    with atomic_path(path, ".png") as temporary:
         imsave(str(temporary), pixels, check_contrast=False)
 
 
@@ -614,7 +614,7 @@ def _named_frame(
 
 
 @contextlib.contextmanager
-def _atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
+def atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
     """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
     target = Path(os.path.realpath(path))
     if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise

@@ -89,8 +89,8 @@ def solve_dirichlet(source: FloatArray, *, workers: int = 1, overwrite: bool = F
     source = _checked(source, "source")
     axes = (0, 1)
     spectrum = dstn(source, type=1, axes=axes, workers=workers, overwrite_x=overwrite)
-    along_rows, along_cols = (_sine_eigenvalues(n) for n in source.shape[:2])
-    eigenvalues = (along_rows[:, None] + along_cols[None, :]).astype(source.dtype)
+    along_rows, along_cols = (_sine_eigenvalues(n).astype(source.dtype) for n in source.shape[:2])
+    eigenvalues = along_rows[:, None] + along_cols
     spectrum /= eigenvalues if source.ndim == 2 else eigenvalues[:, :, None]
     solution: FloatArray = idstn(spectrum, type=1, axes=axes, workers=workers, overwrite_x=True)
     return solution
@@ -121,21 +121,22 @@ def solve_free_space(source: FloatArray, *, workers: int = 1) -> Table:
     Exact to rounding, and the oracle for the fast integrators: the transform has room for every pair of pixels, so
     nothing wraps around.
     """
-    source = _checked(source, "source").astype(np.float64)
-    rows, cols = source.shape[:2]
+    charge: Table = _checked(source, "source").astype(np.float64)
+    rows, cols = charge.shape[:2]
     shape = tuple(next_fast_len(2 * n - 1, real=True) for n in (rows, cols))
     quarter = lattice_green(max(rows, cols) - 1)
     row_distance, col_distance = (np.minimum(i, n - i) for n in shape for i in [np.arange(n)])
     # Distances that exceed the array never meet two pixels of it; any finite value will do there.
     kernel = quarter[np.minimum(row_distance, rows - 1)][:, np.minimum(col_distance, cols - 1)]
     kernel_spectrum = rfft2(kernel, workers=workers)
-    planes = source.reshape(rows, cols, -1)
+    planes = charge.reshape(rows, cols, -1)
     solution = np.empty_like(planes)
     for channel in range(planes.shape[2]):
         spectrum = rfft2(planes[:, :, channel], shape, workers=workers)
         spectrum *= kernel_spectrum
         solution[:, :, channel] = irfft2(spectrum, shape, workers=workers)[:rows, :cols]
-    return solution.reshape(source.shape)
+    free: Table = solution.reshape(charge.shape)
+    return free
 
 
 def lattice_green(radius: int) -> Table:
@@ -163,7 +164,8 @@ def lattice_green(radius: int) -> Table:
     `-exp(-alpha |n|) / (2 sinh alpha)`. Its integral over (0, pi) is a matrix product of cosines and exponentials.
     """
     table = _integrate_modes(radius, lambda alpha: (-0.5 / np.sinh(alpha), np.zeros_like(alpha)), [(0, 0)])
-    return table - table[0, 0]
+    table -= table[0, 0]
+    return table
 
 
 def lattice_biharmonic(radius: int) -> Table:
@@ -189,16 +191,17 @@ def lattice_biharmonic(radius: int) -> Table:
     Notes
     -----
     The transform over one axis is `exp(-alpha |n|) (|n| + coth alpha) / (4 sinh^2 alpha)`, with alpha as in
-    `lattice_green`. For two point sources a and b, `sum (G a) (G b) = sum_ij a_i b_j B[x_i - x_j]`.
+    `lattice_green`. If G inverts the Laplacian and the moments of two point sources a and b vanish up to the second,
+    `sum (G a) (G b) = sum_ij a_i b_j B[x_i - x_j]`.
     """
     table = _integrate_modes(radius, _biharmonic_amplitudes, [(0, 0), (2, 0), (0, 2)])
     # Dropping the singular terms treats the two axes differently, by a multiple of m^2 - n^2.
-    table = 0.5 * (table + table.T)
-    table -= table[0, 0]
+    symmetric: Table = 0.5 * (table + table.T)
+    symmetric -= symmetric[0, 0]
     if radius > 0:
-        squares = np.arange(radius + 1.0) ** 2
-        table -= table[1, 0] * (squares[:, None] + squares)
-    return table
+        squares: Table = np.arange(radius + 1.0) ** 2
+        symmetric -= symmetric[1, 0] * (squares[:, None] + squares)
+    return symmetric
 
 
 def _checked(array: FloatArray, name: str) -> FloatArray:
@@ -213,8 +216,9 @@ def _checked(array: FloatArray, name: str) -> FloatArray:
 
 def _sine_eigenvalues(n: int) -> Table:
     """Eigenvalues of the second difference on n pixels between two zeros, without cancellation at the low end."""
-    half_angles: Table = np.arange(1, n + 1) * (0.5 * np.pi / (n + 1))
-    return -4 * np.sin(half_angles) ** 2
+    half_angles: Table = np.arange(1.0, n + 1) * (0.5 * np.pi / (n + 1))
+    eigenvalues: Table = -4 * np.sin(half_angles) ** 2
+    return eigenvalues
 
 
 def _biharmonic_amplitudes(alpha: Table) -> tuple[Table, Table]:
@@ -223,7 +227,7 @@ def _biharmonic_amplitudes(alpha: Table) -> tuple[Table, Table]:
 
 
 def _integrate_modes(radius: int, amplitudes: Amplitudes, dropped: Sequence[tuple[int, int]]) -> Table:
-    """Integrate `cos(k m) exp(-alpha n) (p + q n) / pi` over wavenumbers (0, pi), without some terms of its small-k series.
+    """Integrate `cos(k m) exp(-alpha n) (p + q n) / pi` over k in (0, pi), less some terms of its series at 0.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from spreadlets.api import synthesize as synthesize_any
 from spreadlets.camera import ThinLens
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
-from spreadlets.metrics import psf_l1
+from spreadlets.metrics import display_encode, psf_l1
 
 SIZE = 65
 CAMERA = ThinLens(
@@ -153,6 +153,45 @@ def test_sparse_and_dense_agree(small_combined):
     assert sparse.mean() == pytest.approx(dense.mean(), rel=1e-3)
 
 
+def test_gathering_equals_splatting_where_labels_are_alike(small_combined):
+    frame = spot_frame(32, 32, 9.0, (10.0, 6.0))
+    dense = synthesize_any(frame, CAMERA, small_combined, method="dense")
+    gathered = synthesize_any(frame, CAMERA, small_combined, method="gather")
+    assert np.allclose(gathered, dense, atol=1e-5)
+
+
+def test_gathering_takes_the_label_of_the_receiver(small_combined):
+    frame = spot_frame(32, 32, 9.0)
+    depth = frame.depth.copy()
+    depth[:, :32] = CAMERA.focus_distance_m
+    gathered = synthesize_any(Frame(frame.radiance, depth), CAMERA, small_combined, method="gather")
+    assert gathered[:, :32, 0].max() == 0 and gathered[32, 33, 0] > 0
+
+
+@pytest.mark.parametrize("tolerance", [0.004, 0.03])
+def test_a_tolerance_keeps_its_bound_and_draws_less(small_combined, tolerance):
+    rng = np.random.default_rng(3)
+    rows, cols = np.indices((96, 96))
+    radiance = np.repeat((0.3 + 0.2 * np.sin(rows / 9) * np.cos(cols / 7))[..., None], 3, axis=2)
+    radiance += 0.02 * rng.random(radiance.shape)
+    radiance[40, 50] = 30.0
+    frame = Frame(radiance, np.full((96, 96), depth_of(10.0, 96)))
+    exact, whole = synthesize(frame, CAMERA, small_combined, tolerance=0.0)
+    merged, report = synthesize(frame, CAMERA, small_combined, tolerance=tolerance)
+    change = np.abs(display_encode(merged[..., :3]) - display_encode(exact[..., :3])).max()
+    assert 0 < change <= report["plan"]["error_bound"] <= tolerance
+    assert report["plan"]["points_splatted"] < 0.6 * whole["plan"]["points_splatted"]
+    assert whole["plan"]["pixels_merged"] == 0 and whole["plan"]["error_bound"] == 0
+
+
+def test_a_uniform_region_is_merged_without_error(small_combined):
+    frame = Frame(np.full((64, 64, 3), 0.5), np.full((64, 64), depth_of(10.0, 64)))
+    exact, _ = synthesize(frame, CAMERA, small_combined, tolerance=0.0)
+    merged, report = synthesize(frame, CAMERA, small_combined, tolerance=1e-9)
+    assert report["plan"]["pixels_merged"] > 64 * 60
+    assert np.allclose(merged, exact, atol=2e-5)
+
+
 def test_beyond_the_range_the_nearest_cell_is_scaled_with_a_warning(small_combined):
     frame = spot_frame(32, 32, 20.0)
     with pytest.warns(UserWarning, match=r"100.00 % of the pixels.*coc 0 to 12 px.*1.67 times"):
@@ -175,7 +214,7 @@ def test_scaling_keeps_the_moments(small_combined):
 
 
 def test_an_unknown_method_is_named(small_combined):
-    with pytest.raises(InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense"):
+    with pytest.raises(InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense, gather"):
         synthesize_any(spot_frame(3, 3, 1.0), CAMERA, small_combined, method="magic")
 
 

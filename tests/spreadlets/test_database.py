@@ -2,12 +2,13 @@ import h5py
 import numpy as np
 import pytest
 
+from spreadlets import database
 from spreadlets.database import CellRecord, open_database, write_database
 from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
 from spreadlets.psf_model import PsfGrid, get_model
 from spreadlets.spreadlet import Spreadlet
 
-STATISTICS = {"n_support": 9, "sparsity": 0.5, "ssim": 1.0, "l1": 0.0, "energy_error": 0.0, "max_value_ratio": 1.0}
+STATISTICS = dict.fromkeys(database.STATISTICS, 0.5)
 
 
 def make_cells(grid, seed=0):
@@ -42,24 +43,24 @@ def path(grid, tmp_path):
 
 def test_round_trip_keeps_every_point(grid, path):
     cells = make_cells(grid)
-    with open_database(path) as database:
-        assert database.n_cells == 28
-        assert database.n_spreadlets == grid.direction_counts.sum()
+    with open_database(path) as opened:
+        assert opened.n_cells == 28
+        assert opened.n_spreadlets == grid.direction_counts.sum()
         for cell, records in enumerate(cells):
-            assert np.array_equal(database.directions(cell), [record.direction for record in records])
+            assert np.array_equal(opened.directions(cell), [record.direction for record in records])
             for number, record in enumerate(records):
-                stored = database.cell(cell, number)
+                stored = opened.cell(cell, number)
                 assert np.array_equal(stored.offset_rc, record.spreadlet.offset_rc)
                 assert np.array_equal(stored.value, record.spreadlet.value)
                 assert stored.direct == record.spreadlet.direct
 
 
 def test_the_grid_and_the_provenance_come_back(grid, path):
-    with open_database(path) as database:
-        assert database.grid == grid
-        assert database.summary()["seed"] == 7
-        coordinate = database.coordinate(5)
-        assert database.find(coordinate) == 5
+    with open_database(path) as opened:
+        assert opened.grid == grid
+        assert opened.summary()["seed"] == 7
+        coordinate = opened.coordinate(5)
+        assert opened.find(coordinate) == 5
         assert np.allclose(coordinate, grid.coordinate(5))
 
 
@@ -73,11 +74,11 @@ def test_an_unwritable_place_is_one_clear_error(grid, tmp_path):
 
 
 def test_a_cell_out_of_range_is_named(path):
-    with open_database(path) as database:
+    with open_database(path) as opened:
         with pytest.raises(InvalidParameterError, match="cell 28: the database has cells 0 to 27"):
-            database.cell(28)
+            opened.cell(28)
         with pytest.raises(InvalidParameterError, match="direction 99 of cell 0"):
-            database.cell(0, 99)
+            opened.cell(0, 99)
 
 
 def test_an_unknown_name_lists_the_shipped_ones():
@@ -151,8 +152,8 @@ def test_a_value_that_is_not_finite_never_leaves_the_file(path):
         values = file["value"][...]
         values[0] = np.nan
         file["value"][...] = values
-    with open_database(path) as database, pytest.raises(InvalidDatabaseError, match="point 0 has a value"):
-        database.cell(0)
+    with open_database(path) as opened, pytest.raises(InvalidDatabaseError, match="point 0 has a value"):
+        opened.cell(0)
 
 
 def test_an_offset_beyond_the_limit_is_refused(path):
@@ -160,5 +161,5 @@ def test_an_offset_beyond_the_limit_is_refused(path):
         offsets = file["offset_rc"][...]
         offsets[0] = -32768
         file["offset_rc"][...] = offsets
-    with open_database(path) as database, pytest.raises(InvalidDatabaseError, match="offset above"):
-        database.cell(0)
+    with open_database(path) as opened, pytest.raises(InvalidDatabaseError, match="offset above"):
+        opened.cell(0)

@@ -1,0 +1,157 @@
+"""A picture of a database: how sparse and how good its spreadlets are, and what the worst of them get wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.database import Database
+from spreadlets.errors import InvalidFileError, InvalidParameterError
+from spreadlets.exr import PathLike, atomic_path
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
+
+FloatArray = npt.NDArray[np.float64]
+
+DensePsf = Callable[[int, int, float], FloatArray]
+"""Traces a PSF again: (cell, direction, scale) to (H, W, C), as `runtime.render.synthesize` takes it."""
+
+N_WORST = 10
+"""Cells that are shown as images."""
+
+MARGIN_PX = 8
+"""Pixels shown around a PSF: where the similarity is measured, errors outside the support count."""
+
+N_BINS = 40
+FIGURE_INCHES = (16.0, 9.0)
+DPI = 100
+
+
+class _Spot(NamedTuple):
+    """One spreadlet to be shown as images."""
+
+    cell: int
+    direction: int
+    similarity: float
+
+
+def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> None:
+    """Draw histograms of sparsity and similarity, one against the other, and the ten worst cells, as a PNG file.
+
+    Parameters
+    ----------
+    database : Database
+        An open database.
+    path : path
+        Where to write; an existing file is replaced. The file appears whole or not at all.
+    dense_psf : callable
+        ``(cell, direction, scale) -> ndarray of shape (H, W, C)``, H and W odd: the PSF, which the file does not hold.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the file cannot be written.
+
+    Notes
+    -----
+    LKS Fig. 10 b and c. The histograms count each cell once, by its first direction, as `Database.summary` does; the
+    scatter shows all directions, and a cell is as bad as its worst direction.
+    """
+    from matplotlib.figure import Figure
+
+    try:
+        with atomic_path(path, ".png") as temporary:
+            figure = Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained")
+            above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 3)).ravel()
+            _draw_statistics(database, above)
+            _draw_worst(database, below, dense_psf)
+            figure.savefig(temporary)
+    except InvalidFileError as error:
+        raise InvalidParameterError(f"the plot {error}") from error
+
+
+def _draw_statistics(database: Database, figure: SubFigure) -> None:
+    """Draw both histograms and the scatter, sparse and direct spreadlets apart."""
+    figures = database.statistics()
+    first = database.cell_start[:-1]
+    kinds = {"sparse": ~database.direct, "direct": database.direct}
+    left, middle, right = figure.subplots(1, 3)
+    for axes, name in ((left, "sparsity"), (middle, "similarity")):
+        column = figures["ssim" if name == "similarity" else name]
+        groups = [column[first][kind[first]] for kind in kinds.values()]
+        axes.hist(groups, bins=N_BINS, stacked=True, label=list(kinds))
+        axes.set(xlabel=name, ylabel="cells", title=f"mean {name} {column[first].mean():.4f}")
+    for name, kind in kinds.items():
+        right.plot(figures["sparsity"][kind], figures["ssim"][kind], ".", markersize=3, label=name)
+    right.set(xlabel="sparsity", ylabel="similarity", title=f"all {database.n_spreadlets} directions of all cells")
+    for axes in (left, middle, right):
+        axes.legend()
+    figure.suptitle(f"{database.path.name}: {database.grid.model.name}, {database.n_cells} cells")
+
+
+def _draw_worst(database: Database, figure: SubFigure, dense_psf: DensePsf) -> None:
+    """Draw the PSF, what its spreadlet stands for, and their difference, one column for each of the worst cells."""
+    spots = _worst_cells(database)
+    grid = figure.subplots(3, len(spots), squeeze=False)
+    for spot, column in zip(spots, grid.T, strict=True):
+        psf, reconstruction = _pair(database, spot, dense_psf(spot.cell, spot.direction, 1.0))
+        difference = reconstruction - psf
+        limit = float(np.abs(difference).max()) or 1.0
+        _show(column[0], psf, "gray", (0.0, 1.0))
+        _show(column[1], reconstruction, "gray", (0.0, 1.0))
+        _show(column[2], difference, "RdBu", (-limit, limit))
+        column[0].set_title(_title(database, spot), fontsize="small")
+        column[2].set_xlabel(f"within ±{limit:.2g}", fontsize="small")
+    for axes, name in zip(grid[:, 0], ("PSF", "spreadlet", "difference"), strict=True):
+        axes.set_ylabel(name)
+    figure.suptitle(f"The {len(spots)} worst cells; values are relative to the peak")
+
+
+def _worst_cells(database: Database) -> list[_Spot]:
+    """Find the cells of the lowest similarity, each with its worst direction, worst first."""
+    similarity, start = database.statistics()["ssim"], database.cell_start
+    spots = []
+    for cell in range(database.n_cells):
+        some = similarity[start[cell] : start[cell + 1]]
+        spots.append(_Spot(cell, int(np.argmin(some)), float(some.min())))
+    return sorted(spots, key=lambda spot: spot.similarity)[:N_WORST]
+
+
+def _pair(database: Database, spot: _Spot, psf: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a PSF and its reconstruction on one window (H, W), averaged over the channels, relative to the peak."""
+    spreadlet = database.cell(spot.cell, spot.direction)
+    half = np.maximum(np.asarray(psf.shape[:2]) // 2, spreadlet.extent) + MARGIN_PX
+    dense = spreadlet.to_dense(int((half - spreadlet.extent).max()))
+    true, approximate = (_centred(image, half).mean(axis=2) for image in (psf, dense))
+    peak = float(true.max())
+    return true / peak, approximate / peak
+
+
+def _centred(image: FloatArray, half: npt.NDArray[np.int64]) -> FloatArray:
+    """Crop or pad an image (H, W, C) of odd sizes about its centre to these half-sizes."""
+    missing = half - np.asarray(image.shape[:2]) // 2
+    padded = np.pad(image, [*((max(int(n), 0),) * 2 for n in missing), (0, 0)])
+    row, col = np.asarray(padded.shape[:2]) // 2 - half
+    return padded[row : row + 2 * half[0] + 1, col : col + 2 * half[1] + 1]
+
+
+def _show(axes: Axes, image: FloatArray, colours: str, limits: tuple[float, float]) -> None:
+    axes.imshow(image, cmap=colours, vmin=limits[0], vmax=limits[1], interpolation="nearest")
+    axes.set(xticks=[], yticks=[])
+
+
+def _title(database: Database, spot: _Spot) -> str:
+    model = database.grid.model
+    direct = " direct" if database.direct[database.cell_start[spot.cell] + spot.direction] else ""
+    place = zip(model.axes, database.coordinate(spot.cell), strict=True)
+    lines = [f"{spot.similarity:.4f}", f"cell {spot.cell}{direct}"]
+    lines += [f"{axis.name} {x:.3g} {axis.unit}" for axis, x in place]
+    if model.has_direction:
+        lines.append(f"{math.degrees(database.directions(spot.cell)[spot.direction]):.0f}°")
+    return "\n".join(lines)

@@ -1,0 +1,148 @@
+"""Quality of the databases that ship, and of one that is built from scratch, measured anew from their points."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from precompute.light_tracing import trace_psf
+from spreadlets.database import open_database
+from spreadlets.metrics import (
+    PSF_MARGIN_FRACTION,
+    PSF_MARGIN_PX,
+    PSF_SUPPORT_THRESHOLD,
+    psf_l1,
+    psf_similarity,
+)
+
+SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
+FRESH = "built from scratch"
+
+N_SAMPLED = 24
+"""Spreadlets that are traced and reconstructed in each database, spread evenly over its cells."""
+
+LARGE_COC = 4.0
+"""CoC radius, px: the limits on sparsity hold from here on; smaller PSFs are little more than their edge."""
+
+LEAST_SIMILARITY = 0.93
+"""Of any spreadlet of a large CoC."""
+
+LEAST_SMALL_SIMILARITY = 0.80
+"""Of any other: where a handful of pixels is all there is, leaving out the faintest costs more."""
+
+MEAN_SIMILARITY = 0.97
+"""Over the sampled spreadlets of large CoC."""
+
+MEAN_SPARSITY = 0.20
+"""Over the sampled spreadlets of large CoC; the smaller the range of the CoC, the less sparse."""
+
+FRESH_MEAN_SPARSITY = 0.25
+"""The same for the fresh database, whose CoC ends at 12 px."""
+
+MAX_ENERGY_ERROR = 1e-4
+
+SIMILARITY_TOLERANCE = 2e-3
+"""Between the recorded similarity and the one measured anew: noise of the tracing, should its samples differ."""
+
+RELATIVE_TOLERANCE = 0.02
+"""The same for the support and the L1 error."""
+
+
+class Measured(NamedTuple):
+    """One spreadlet, measured anew, and what the file says of it."""
+
+    place: str
+    large: bool
+    similarity: float
+    l1: float
+    sparsity: float
+    n_support: int
+    energy_error: float
+    recorded: dict[str, float]
+
+
+def retrace(database, cell, number):
+    """Trace a cell's PSF with the seed of its build."""
+    seed = np.random.SeedSequence((database.provenance["seed"], cell, number)).generate_state(1)[0]
+    return trace_psf(
+        database.grid.model,
+        database.grid.box(cell),
+        direction=float(database.directions(cell)[number]),
+        direction_half_width=database.grid.direction_half_width(cell),
+        rays=database.provenance["parameters"]["rays"],
+        seed=int(seed),
+    )
+
+
+def on_one_window(psf, spreadlet):
+    """Pad a PSF by the margin of its similarity, and reconstruct the spreadlet on the same window."""
+    half = np.array(psf.shape[:2]) // 2
+    margin = np.maximum(PSF_MARGIN_PX, np.ceil(PSF_MARGIN_FRACTION * np.array(psf.shape[:2]))).astype(int)
+    half = np.maximum(half + margin, spreadlet.extent)
+    dense = spreadlet.to_dense(margin=int((half - spreadlet.extent).max()))
+    rows, cols = half - np.array(psf.shape[:2]) // 2
+    top, left = np.array(dense.shape[:2]) // 2 - half
+    window = dense[top : top + 2 * half[0] + 1, left : left + 2 * half[1] + 1]
+    return np.pad(psf, ((rows, rows), (cols, cols), (0, 0))), window
+
+
+def measure(database, cell, number, statistics):
+    psf, spreadlet = retrace(database, cell, number), database.cell(cell, number)
+    true, drawn = on_one_window(psf, spreadlet)
+    n_support = int((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2).sum())
+    moments = spreadlet.moments()
+    energy = moments[0] if spreadlet.direct else 0.25 * (moments[4] + moments[5])
+    index = int(database.cell_start[cell]) + number
+    return Measured(
+        f"cell {cell}, direction {number}",
+        bool(database.coordinate(cell)[0] >= LARGE_COC),
+        psf_similarity(true, drawn),
+        psf_l1(true, drawn),
+        spreadlet.n_points / n_support,
+        n_support,
+        float(np.abs(energy - 1.0).max()),
+        {name: float(column[index]) for name, column in statistics.items()},
+    )
+
+
+@pytest.fixture(scope="module", params=[*SHIPPED, FRESH], ids=lambda name: getattr(name, "stem", "fresh"))
+def measured(request):
+    fresh = request.param == FRESH
+    path = request.getfixturevalue("small_combined_path") if fresh else request.param
+    rng = np.random.default_rng(11)
+    with open_database(path) as database:
+        statistics = database.statistics()
+        cells = np.linspace(0, database.n_cells - 1, N_SAMPLED).round().astype(int)
+        numbers = [int(rng.integers(len(database.directions(cell)))) for cell in cells]
+        found = [measure(database, int(c), n, statistics) for c, n in zip(cells, numbers, strict=True)]
+    return found, FRESH_MEAN_SPARSITY if fresh else MEAN_SPARSITY
+
+
+def test_there_are_databases_that_ship():
+    assert {path.stem for path in SHIPPED} >= {"combined", "simplelens"}
+
+
+def test_no_sampled_spreadlet_is_bad(measured):
+    for one in measured[0]:
+        assert one.similarity >= (LEAST_SIMILARITY if one.large else LEAST_SMALL_SIMILARITY), one.place
+
+
+def test_sampled_spreadlets_of_large_coc_are_similar_and_sparse_on_average(measured):
+    large = [one for one in measured[0] if one.large]
+    assert len(large) >= N_SAMPLED // 4
+    assert np.mean([one.similarity for one in large]) >= MEAN_SIMILARITY
+    assert np.mean([one.sparsity for one in large]) <= measured[1]
+
+
+def test_sampled_spreadlets_keep_the_energy(measured):
+    for one in measured[0]:
+        assert one.energy_error <= MAX_ENERGY_ERROR, one.place
+
+
+def test_recorded_figures_are_those_of_the_points(measured):
+    for one in measured[0]:
+        assert one.recorded["ssim"] == pytest.approx(one.similarity, abs=SIMILARITY_TOLERANCE), one.place
+        for name in ("l1", "sparsity", "n_support"):
+            expected = pytest.approx(getattr(one, name), rel=RELATIVE_TOLERANCE, abs=1e-4)
+            assert one.recorded[name] == expected, f"{one.place}: {name}"
