@@ -165,15 +165,18 @@ def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Im
 def _splat_laplacian(padded: Image, plan: Plan, padding: int) -> None:
     """Splat the Laplacian of all passes: blocks into images of their own, spread over their area afterwards."""
     sparse = ~plan.table.direct
+    stride = max((source.stride for source in plan.passes), default=1)
     blocks: Image | None = None
-    for stride in sorted({source.stride for source in plan.passes}, reverse=True):
+    while True:
         image = padded if stride == 1 else np.zeros_like(padded)
         for source in plan.passes:
             if source.stride == stride:
                 splat(image, source, plan.table, padding, sparse)
         if blocks is not None:
             add_spread(image, blocks, stride)
-        blocks = image
+        if stride == 1:
+            return
+        blocks, stride = image, stride // 2
 
 
 def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, Any]:
