@@ -86,7 +86,7 @@ def sparse_discs(shape: tuple[int, int], rng: Rng) -> tuple[Plane, Plane | None]
     """Fitted sparse approximations of discs, as a database holds them."""
     source = np.zeros(shape)
     for _ in range(SHAPES_PER_IMAGE):
-        radius = _log_uniform(rng, 4, min(40, 0.15 * min(shape)))
+        radius = _log_uniform(rng, 8, min(40, 0.15 * min(shape)))
         offsets, values = fit_sparse_disc(radius, rng)
         reach = int(radius) + 3 + int(MARGIN * min(shape))
         centre = [int(rng.integers(reach, side - reach)) for side in shape]
@@ -95,7 +95,7 @@ def sparse_discs(shape: tuple[int, int], rng: Rng) -> tuple[Plane, Plane | None]
     return source, None
 
 
-def fit_sparse_disc(radius: float, rng: Rng, share: float = 0.4) -> tuple[NDArray[np.int64], Plane]:
+def fit_sparse_disc(radius: float, rng: Rng, share: float = 0.6) -> tuple[NDArray[np.int64], Plane]:
     """Keep a random share of the points of a disc's Laplacian and fit their values.
 
     Returns

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -21,9 +21,9 @@ from threadpoolctl import threadpool_limits
 
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
-from spreadlets.database import CellRecord, write_database
+from spreadlets.database import CellRecord, absent_record, write_database
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf_model import PsfGrid, PsfModel, get_model
+from spreadlets.psf_model import PsfGrid, get_model
 from spreadlets.spreadlet import Spreadlet
 
 ALGORITHM_VERSION = 1
@@ -35,19 +35,23 @@ Progress = Callable[[int, int], None]
 
 
 class CellTask(NamedTuple):
-    """All that the spreadlets of one cell depend on."""
+    """All that the spreadlets of one cell depend on; the others of its directions are left out."""
 
     grid: PsfGrid
     cell: int
+    directions: tuple[int, ...]
     density: float
     rays: int | None
     seed: int
 
 
 def build_cell(task: CellTask) -> list[CellRecord]:
-    """Trace and sparsify one cell in each of its directions; the result depends on the task alone."""
+    """Trace and sparsify one cell in each of the task's directions; the result depends on the task alone."""
     with _single_threaded():
-        return [_build_record(task, number) for number in range(len(task.grid.directions(task.cell)))]
+        return [
+            _build_record(task, number) if number in task.directions else absent_record(task.grid, task.cell, number)
+            for number in range(len(task.grid.directions(task.cell)))
+        ]
 
 
 @contextmanager
@@ -94,6 +98,7 @@ def build_database(
     max_motion: float | None = None,
     density: float = 1.0,
     rays: int | None = None,
+    only: Iterable[tuple[int, int]] | None = None,
     jobs: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -114,6 +119,8 @@ def build_database(
         Operating point: 0.5, 1 or 2 times the usual number of points (LKS Fig. 10 d).
     rays : int, optional
         Ray budget for each PSF; the default is the tracer's own.
+    only : iterable of (int, int), optional
+        The (cell, direction) pairs to build; the others are left out, and reading one of them is an error.
     jobs : int, optional
         Number of processes; the default is the number of cores.
     seed : int
@@ -128,13 +135,14 @@ def build_database(
     """
     begin = time.perf_counter()
     _check_arguments(samples, density, rays, jobs, seed)
-    grid = PsfGrid.of(_ranged_model(model, max_coc, max_motion), samples)
+    grid = model_grid(model, samples=samples, max_coc=max_coc, max_motion=max_motion)
     target = Path(path)
     parts = target.with_name(target.name + ".parts")
-    tasks = [CellTask(grid, cell, density, rays, seed) for cell in range(grid.n_cells)]
+    directions = _wanted_directions(grid, only)
+    tasks = [CellTask(grid, cell, directions[cell], density, rays, seed) for cell in range(grid.n_cells)]
     _make_folder(parts)
     _compute_missing(tasks, parts, jobs or os.cpu_count() or 1, progress)
-    cells = [_read_part(_part_path(parts, task)) for task in tasks]
+    cells = [_read_part(_part_path(parts, task)) if task.directions else build_cell(task) for task in tasks]
     provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
     provenance["build_s"] = time.perf_counter() - begin
     write_database(target, grid, cells, provenance)
@@ -154,9 +162,22 @@ def _check_arguments(samples: int | None, density: float, rays: int | None, jobs
         raise InvalidParameterError(f"seed is {seed}: it must not be negative")
 
 
-def _ranged_model(name: str, max_coc: float | None, max_motion: float | None) -> PsfModel:
+def model_grid(
+    model: str, *, samples: int | None = None, max_coc: float | None = None, max_motion: float | None = None
+) -> PsfGrid:
+    """Return the grid that a build with these arguments has; None stands for the model's own value."""
     ranges = {"max_coc": max_coc, "max_motion": max_motion}
-    return get_model(name, **{key: value for key, value in ranges.items() if value is not None})
+    return PsfGrid.of(get_model(model, **{key: value for key, value in ranges.items() if value is not None}), samples)
+
+
+def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:
+    """Return the directions to build for each cell."""
+    if only is None:
+        return [tuple(range(int(count))) for count in grid.direction_counts]
+    wanted: list[set[int]] = [set() for _ in range(grid.n_cells)]
+    for cell, direction in only:
+        wanted[cell].add(direction)
+    return [tuple(sorted(each)) for each in wanted]
 
 
 def _make_folder(parts: Path) -> None:
@@ -168,8 +189,9 @@ def _make_folder(parts: Path) -> None:
 
 def _compute_missing(tasks: list[CellTask], parts: Path, jobs: int, progress: Progress | None) -> None:
     """Compute the cells that have no part yet, longest first, storing each as it is finished."""
+    tasks = [task for task in tasks if task.directions]
     missing = [task for task in tasks if not _part_path(parts, task).exists()]
-    missing.sort(key=lambda task: -len(task.grid.directions(task.cell)) * float(task.grid.box(task.cell).prod()))
+    missing.sort(key=lambda task: -len(task.directions) * float(task.grid.box(task.cell)[:, 1].prod()))
     done = len(tasks) - len(missing)
     if progress is not None:
         progress(done, len(tasks))
@@ -214,7 +236,7 @@ def _read_part(path: Path) -> list[CellRecord]:
 
 def _part_path(parts: Path, task: CellTask) -> Path:
     """Return where a cell's part lies: its name is a hash of all that the result depends on."""
-    facts = (ALGORITHM_VERSION, repr(task.grid), task.cell, task.density, task.rays, task.seed)
+    facts = (ALGORITHM_VERSION, repr(task.grid), *task[1:])
     return parts / f"{hashlib.sha256(repr(facts).encode()).hexdigest()[:32]}.npz"
 
 

@@ -28,7 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Result = tuple[Spreadlet, dict[str, float]]
 
-PRICE = 0.4
+PRICE = 0.3
 """Loss of similarity that is accepted, at density 1, for a sparsity that is lower by 1: dropping a point may cost
 this much divided by the number of pixels of the support. One price for all PSFs gives the best mean of each for the
 mean of the other."""
@@ -57,7 +57,7 @@ DIRECT_COST = 0.5
 THIN_RADIUS = 3.5
 """PSFs that hold no larger disc, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
-DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.2)
+DIRECT_THRESHOLDS = (1e-3, 1e-2, 3e-2, 6e-2, 0.1)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
 

@@ -196,7 +196,7 @@ def splat_runs(image, radiance, runs, row_start, points, value, point_start, geo
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def add_spread(image, spaced, distance):
-    """Add an image and its copies moved down, right, and both, by a distance, px, to another; shapes (rows, cols, 4)."""
+    """Add an image (rows, cols, 4) and its copies moved down, right, and both, by a distance, px, to another."""
     rows, width = image.shape[0], 4 * image.shape[1]
     target = image.reshape(rows * width)
     source = spaced.reshape(rows * width)

@@ -331,6 +331,13 @@ SolverKey = tuple[str, tuple[int, ...], int]
 """What a solver's buffers are made for: method, shape of the image, number of threads."""
 
 
+def _bands_for(n_floats: int, threads: int) -> slice:
+    """Set the number of threads to what a level of some size deserves; return the bands of scratch for them."""
+    threads = threads if n_floats >= SERIAL_SIZE else 1
+    numba.set_num_threads(threads)
+    return slice(threads)
+
+
 class _Solver(Protocol):
     """Buffers and procedure of one method for one shape and number of threads."""
 
@@ -421,16 +428,18 @@ class _PublishedSolver:
         self.scratch = np.empty((threads, 5, widest), np.float32)
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
-        n_channels, pad, scratch = source.shape[2], self.pad, self.scratch
+        n_channels, pad = source.shape[2], self.pad
         net = self.meter.net_source(source)
-        scratch[:] = 0
+        self.scratch[:] = 0
         sources, answers = [_rows(source), *self.sources], [_rows(out), *self.answers]
         for fine, coarse in zip(sources, sources[1:], strict=False):
+            scratch = self.scratch[_bands_for(fine.size, self.key[2])]
             kernels.filter_down(fine, coarse, self.down, pad, n_channels, scratch)
         kernels.filter_level(
-            sources[-1], answers[-1], self.own if len(sources) > 1 else self.last_own, n_channels, scratch
+            sources[-1], answers[-1], self.own if len(sources) > 1 else self.last_own, n_channels, self.scratch[:1]
         )
         for level in reversed(range(len(sources) - 1)):
+            scratch = self.scratch[_bands_for(answers[level].size, self.key[2])]
             up, own = (self.up, self.own) if level else (self.last_up, self.last_own)
             kernels.filter_up(answers[level + 1], sources[level], answers[level], up, own, pad, n_channels, scratch)
         return self.meter.report(net, source, out)
@@ -506,9 +515,7 @@ class _LevelSolver:
     def _bands(self, level: int) -> slice:
         """Choose the number of threads for a level: which bands of the scratch arrays it uses."""
         rows, cols = self.shapes[level]
-        threads = self.key[2] if rows * cols * self.key[1][2] >= SERIAL_SIZE else 1
-        numba.set_num_threads(threads)
-        return slice(threads)
+        return _bands_for(rows * cols * self.key[1][2], self.key[2])
 
     def _coarsen(self, level: int, source: Rows, image: Rows, measured: bool = False) -> float:
         """Filter a level's remaining source down to the next; return its largest magnitude if that is measured."""

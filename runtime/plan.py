@@ -17,7 +17,7 @@ from runtime.splat import PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
-from spreadlets.frame import Layer
+from spreadlets.frame import Frame, Layer
 from spreadlets.psf_model import PsfGrid
 
 SCALE_STEPS_PER_OCTAVE = 16
@@ -104,6 +104,17 @@ def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool)
     return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift)
 
 
+def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
+    """Return the (cell, direction) pairs that a frame needs of a database with the given grid."""
+    cell_start = np.concatenate([[0], np.cumsum(grid.direction_counts)])
+    needed: set[tuple[int, int]] = set()
+    for layer in frame.layers:
+        key, _ = _variant_keys(layer, label_pixels(layer, camera, defocus=True, motion=True), grid, cell_start)
+        variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
+        needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
+    return needed
+
+
 def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: float, dense_psf: DensePsf | None) -> Plan:
     """Decide the variant of each pixel, read just the cells in use, and lay out the passes to draw.
 
@@ -124,14 +135,14 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: floa
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
-    key, excess = _variant_keys(layer, labels, database)
+    key, excess = _variant_keys(layer, labels, database.grid, database.cell_start)
     n_keys = 1 + 8 * database.n_spreadlets * N_SCALES
     used, place = _plan_kernels.used_keys(key, n_keys)
     index = np.empty(key.shape, np.int32)
     _plan_kernels.replace_keys(key, place, index)
     visible = index >= 0
     _warn_beyond_range(database.grid, excess, int(visible.sum()))
-    variants = [_decode(int(each), database) for each in used]
+    variants = [_decode(int(each), database.cell_start) for each in used]
     table = _point_table(list(variant_points(variants, database, dense_psf)), database.n_channels)
     passes = [each for frame in _passes(layer.radiance, index, labels.shift) for each in _with_border(frame, table)]
     error_bound = 0.0
@@ -150,16 +161,15 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: floa
 
 
 def _variant_keys(
-    layer: Layer, labels: Labels, database: Database
+    layer: Layer, labels: Labels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
-    grid = database.grid
     length = np.hypot(labels.path[..., 0], labels.path[..., 1])
     radius = np.abs(labels.coc)
     coordinate = _coordinates({"coc": radius, "motion": length}, grid)
     key = np.empty(radius.shape, np.int64)
     excess = np.empty((len(radius), 2), np.float64)
-    tables = grid.maximum, grid.power, np.array(grid.shape, np.int64), grid.nested.level_offset, database.cell_start
+    tables = grid.maximum, grid.power, np.array(grid.shape, np.int64), grid.nested.level_offset, cell_start
     scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
     sharp = radius + np.float32(0.5) * length <= SHARP_EXTENT
     _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, sharp, tables, scales, key, excess)
@@ -193,16 +203,16 @@ def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible
     )
 
 
-def _decode(key: int, database: Database) -> Variant:
+def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
     """Turn a key of the kernel back into what it stands for."""
     if key == _plan_kernels.SHARP:
         return SHARP
     turned, step = divmod(key - 1, N_SCALES)
     spreadlet, orientation = divmod(turned, 8)
-    cell = int(np.searchsorted(database.cell_start, spreadlet, side="right")) - 1
+    cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
     return Variant(
         cell=cell,
-        direction=spreadlet - int(database.cell_start[cell]),
+        direction=spreadlet - int(cell_start[cell]),
         transpose=bool(orientation & 1),
         flip_row=bool(orientation & 2),
         flip_col=bool(orientation & 4),

@@ -12,10 +12,10 @@ import numba.core.event
 import numpy as np
 import numpy.typing as npt
 
+from runtime._kernels import add_spread
 from runtime.composite import over, reweight
 from runtime.convolution_pyramid import METHODS, integrate
 from runtime.plan import Plan, label_pixels, plan_layer
-from runtime._kernels import add_spread
 from runtime.splat import gather, splat
 from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens

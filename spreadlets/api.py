@@ -135,10 +135,35 @@ def synthesize(
     return (image, figures) if report else image
 
 
-def build_database(model: str, path: str | os.PathLike[str], **options: Any) -> None:
-    """Build a database; see `precompute.build.build_database` for the options."""
-    from precompute.build import build_database as build
+def build_database(
+    model: str,
+    path: str | os.PathLike[str],
+    *,
+    frames: Sequence[Frame] | None = None,
+    camera: ThinLens | None = None,
+    **options: Any,
+) -> None:
+    """Build a database, the whole of it or only what certain frames need.
 
+    Parameters
+    ----------
+    model, path, options
+        See `precompute.build.build_database`.
+    frames : sequence of Frame, optional
+        Build only the cells and directions that these frames use; needs the camera.
+    camera : ThinLens, optional
+        Lens and shutter for `frames`.
+    """
+    from precompute.build import build_database as build
+    from precompute.build import model_grid
+
+    if (frames is None) != (camera is None):
+        raise InvalidParameterError("a database for certain frames needs both the frames and the camera")
+    if frames is not None and camera is not None:
+        from runtime.plan import needed_spreadlets
+
+        grid = model_grid(model, **{name: options.get(name) for name in ("samples", "max_coc", "max_motion")})
+        options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))
     build(model, path, **options)
 
 

@@ -37,10 +37,20 @@ def cli() -> None:
 @click.option("--max-coc", type=float, help="Largest CoC radius, px.")
 @click.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
 @click.option("--density", type=click.Choice(["0.5", "1", "2"]), default="1", help="Points, times the usual number.")
+@click.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
+@click.option("--camera", "camera_path", help="Camera file (JSON) of those frames.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
 @json_option
-def build(model: str, output: str, density: str, as_json: bool, **options: Any) -> None:
+def build(
+    model: str,
+    output: str,
+    density: str,
+    frame_paths: tuple[str, ...],
+    camera_path: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
     """Build a database of spreadlets for a PSF MODEL: simplelens or combined.
 
     An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
@@ -48,8 +58,14 @@ def build(model: str, output: str, density: str, as_json: bool, **options: Any) 
     Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
     """
     from spreadlets.api import build_database
+    from spreadlets.camera import read_camera
     from spreadlets.database import open_database
+    from spreadlets.exr import read_frame
 
+    if bool(frame_paths) != bool(camera_path):
+        raise click.UsageError("--for and --camera go together")
+    if camera_path:
+        options |= {"frames": [read_frame(path) for path in frame_paths], "camera": read_camera(camera_path)}
     with _progress(f"building {model}", quiet=as_json) as progress:
         build_database(model, output, density=float(density), progress=progress, **options)
     with open_database(output) as database:

@@ -43,6 +43,12 @@ class CellRecord(NamedTuple):
     statistics: Mapping[str, float]
 
 
+def absent_record(grid: PsfGrid, cell: int, direction: int) -> CellRecord:
+    """Return the record of a direction that is left out: it has no points, and reading it is an error."""
+    empty = Spreadlet(np.zeros((0, 2), np.int16), np.zeros((0, grid.model.n_channels), np.float32))
+    return CellRecord(float(grid.directions(cell)[direction]), empty, dict.fromkeys(STATISTICS, 0.0))
+
+
 def write_database(
     path: str | os.PathLike[str],
     grid: PsfGrid,
@@ -135,11 +141,11 @@ class Database:
         self.path = path
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = _read_provenance(file)
-        self.cell_start = _read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS)
+        self.cell_start = _read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1)
         if not np.array_equal(np.diff(self.cell_start), self.grid.direction_counts):
             raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
         n_spreadlets = int(self.cell_start[-1])
-        self.point_start = _read_starts(file, "point_start", n_spreadlets, MAX_POINTS)
+        self.point_start = _read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0)
         self.direction = _read_table(file, "direction", (n_spreadlets,), np.float64)
         self.direct = _read_table(file, "direct", (n_spreadlets,), np.uint8).astype(bool)
         n_points = int(self.point_start[-1])
@@ -193,6 +199,13 @@ class Database:
             If points cannot be read, or are not finite, or lie too far out.
         """
         index = np.array([self.cell_start[cell] + direction for cell, direction in cells], np.int64)
+        absent = np.flatnonzero(self.point_start[index] == self.point_start[index + 1])
+        if len(absent):
+            cell, direction = cells[int(absent[0])]
+            raise InvalidDatabaseError(
+                f"{self.path}: direction {direction} of cell {cell} and {len(absent) - 1} more that are needed were left "
+                "out of this database, which was built for certain frames only"
+            )
         found: dict[int, Spreadlet] = {}
         for first, last in self._stretches(np.unique(index)):
             points = self._read_points(int(self.point_start[first]), int(self.point_start[last + 1]))
@@ -232,21 +245,22 @@ class Database:
     def summary(self) -> dict[str, Any]:
         """Return what ``spreadlets info`` prints: model, counts, size, quality figures and provenance.
 
-        The means of sparsity and similarity are over every cell's first direction, direct ones included.
+        Means are over all spreadlets that are stored, direct ones included.
         """
-        statistics = {name: column[self.cell_start[:-1]] for name, column in self.statistics().items()}
+        present = np.diff(self.point_start) > 0
+        statistics = {name: column[present] for name, column in self.statistics().items()}
         return {
             "model": self.grid.model.name,
             "n_cells": self.n_cells,
             "n_channels": self.n_channels,
-            "n_spreadlets": self.n_spreadlets,
+            "n_spreadlets": int(present.sum()),
             "n_points": int(self.point_start[-1]),
             "size_bytes": self.path.stat().st_size,
             "mean_sparsity": float(statistics["sparsity"].mean()),
             "mean_ssim": float(statistics["ssim"].mean()),
             "min_ssim": float(statistics["ssim"].min()),
             "mean_l1": float(statistics["l1"].mean()),
-            "max_energy_error": float(self.statistics()["energy_error"].max()),
+            "max_energy_error": float(statistics["energy_error"].max()),
             "build_s": self.provenance.get("build_s"),
             "seed": self.provenance.get("seed"),
             "parameters": self.provenance.get("parameters"),
@@ -358,10 +372,10 @@ def _read_table(file: h5py.File, name: str, shape: tuple[int, ...], dtype: npt.D
     return table
 
 
-def _read_starts(file: h5py.File, name: str, count: int, limit: int) -> npt.NDArray[np.int64]:
+def _read_starts(file: h5py.File, name: str, count: int, limit: int, least: int) -> npt.NDArray[np.int64]:
     if count > limit:
         raise InvalidDatabaseError(f"{file.filename}: {count} entries in {name!r} exceed the limit of {limit}")
     starts = _read_table(file, name, (count + 1,), np.int64)
-    if starts[0] != 0 or (np.diff(starts) < 1).any() or starts[-1] > limit:
+    if starts[0] != 0 or (np.diff(starts) < least).any() or starts[-1] > limit:
         raise InvalidDatabaseError(f"{file.filename}: {name!r} is not a list of rising starts from 0 up to {limit}")
     return starts

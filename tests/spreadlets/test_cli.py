@@ -117,6 +117,26 @@ def test_build_writes_a_database(run, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["tiny.h5"]
 
 
+def test_a_database_for_one_frame_holds_what_it_uses_and_gives_the_same_image(run, scene, small_combined_path):
+    options = ("--samples", 28, "--max-coc", 12, "--max-motion", 16, "--seed", 1, "--jobs", 1)
+    for_frame = ("--for", scene / "frame.exr", "--camera", scene / "camera.json")
+    status, out, err = run("build", "combined", "-o", scene / "part.h5", *options, *for_frame, "--json")
+    assert (status, err) == (0, "") and json.loads(out)["n_spreadlets"] == 1
+    images = []
+    for database in (small_combined_path, scene / "part.h5"):
+        assert run(*synth_arguments(scene, database))[0] == 0
+        images.append(exr.read_image(scene / "out.exr"))
+    assert np.array_equal(*images)
+    (scene / "camera.json").write_text(json.dumps(CAMERA | {"focus_distance_m": 2.0}))
+    status, _, err = run(*synth_arguments(scene, scene / "part.h5"))
+    assert status == 2 and "left out of this database" in err
+
+
+def test_for_and_camera_go_together(run, scene):
+    status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
+    assert status == 2 and "go together" in err
+
+
 def with_camera(**changes):
     def write(scene):
         camera = CAMERA | changes
