@@ -26,7 +26,6 @@ MAX_CORRELATION = 0.15
 REFRESH_FRACTION = 0.6
 """The inverse is computed anew when this fraction of its points is left: updates accumulate rounding."""
 
-
 RESOLUTION = 1e-12
 """Diagonal entries of the inverse below this fraction of the largest are rounding."""
 

@@ -115,14 +115,15 @@ def similarity_weights(psf: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of shape (H, W, 3), float64
-        Of the mean, and of the detail's forward differences along columns and rows; averaged over the channels. The
-        sum of weight times square over all pixels approximates 1 - SSIM.
+        Of the mean, and of the detail's forward differences along columns and rows; the same for all channels. The
+        sum of weight times square over all pixels and channels approximates 1 - SSIM.
     """
     mean = _blur(psf)
     variance = np.maximum(_blur(psf * psf) - mean * mean, 0.0)
     counted = np.zeros((*psf.shape[:2], 1))
     counted[WINDOW_RADIUS:-WINDOW_RADIUS, WINDOW_RADIUS:-WINDOW_RADIUS] = 1.0
-    counted /= counted.sum() * psf.shape[2]
+    # Once for the mean of the weights over the channels, once for that of the squares which they will multiply.
+    counted /= counted.sum() * psf.shape[2] ** 2
     mean_weight = (counted / (2 * mean * mean + MEAN_CONSTANT)).sum(axis=2)
     detail_weight = _blur((counted / (2 * variance + VARIANCE_CONSTANT)).sum(axis=2))
     # A forward difference lies half a pixel on, and the weights change steeply at the PSF's edges.
@@ -147,7 +148,7 @@ def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, gro
     Returns
     -------
     Equations
-        One unknown per orbit; the form is an estimate of 1 - SSIM, times the number of channels where they agree.
+        One unknown per orbit; the form is an estimate of 1 - SSIM.
     """
     matrix, target = moment_constraints(psf, members.reshape(-1, 2))
     share = size / members.shape[1]

@@ -7,8 +7,6 @@ worth. A PSF that needs nearly as many points as it has pixels is kept as pixels
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -101,15 +99,15 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     for threshold in DIRECT_THRESHOLDS:
         sparsity = float((boxed > threshold * boxed.max()).any(axis=2).sum() / _support(boxed).sum())
         # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
-        if not results or DIRECT_COST * price * sparsity < _loss(results[0], price):
+        if not results or DIRECT_COST * PRICE * sparsity < _loss(results[0]):
             results.append(_measured(boxed, _direct_spreadlet(boxed, threshold)))
-    return min(results, key=lambda result: _loss(result, price))
+    return min(results, key=_loss)
 
 
-def _loss(result: Result, price: float) -> float:
-    """Return what a spreadlet costs in similarity, its points included at the price."""
+def _loss(result: Result) -> float:
+    """Return what a spreadlet costs in similarity, its points included; at any density, as they cost the same time."""
     spreadlet, figures = result
-    return 1.0 - figures["ssim"] + price * figures["sparsity"] * (DIRECT_COST if spreadlet.direct else 1.0)
+    return 1.0 - figures["ssim"] + PRICE * figures["sparsity"] * (DIRECT_COST if spreadlet.direct else 1.0)
 
 
 def _checked(psf: npt.ArrayLike) -> FloatArray:
@@ -123,21 +121,15 @@ def _checked(psf: npt.ArrayLike) -> FloatArray:
 
 
 def _on_box(psf: FloatArray) -> FloatArray:
-    """Crop or pad a PSF, about its centre, to a box that holds the one in which its similarity is measured."""
-    halves = []
-    for axis, occupied in enumerate(np.nonzero(_support(psf))):
-        centre = psf.shape[axis] // 2
-        side = int(occupied.max() - occupied.min()) + 1
-        margin = max(PSF_MARGIN_PX, math.ceil(PSF_MARGIN_FRACTION * side))
-        halves.append(int(np.abs(occupied - centre).max()) + margin)
-    out = np.zeros((2 * halves[0] + 1, 2 * halves[1] + 1, psf.shape[2]))
-    source, target = [], []
-    for axis, half in enumerate(halves):
-        common = min(half, psf.shape[axis] // 2)
-        source.append(slice(psf.shape[axis] // 2 - common, psf.shape[axis] // 2 + common + 1))
-        target.append(slice(half - common, half + common + 1))
-    out[tuple(target)] = psf[tuple(source)]
-    return out
+    """Crop or pad a PSF, about its centre, to a box that holds all of it and where its similarity is measured."""
+    centre = np.asarray(psf.shape[:2]) // 2
+    reach = np.abs(np.argwhere((psf > 0).any(axis=2)) - centre).max(axis=0)
+    rows, columns = (slice(c - r, c + r + 1) for c, r in zip(centre, reach, strict=True))
+    cropped = psf[rows, columns]
+    offset = np.argwhere(_support(cropped)) - reach
+    margin = np.maximum(PSF_MARGIN_PX, np.ceil(PSF_MARGIN_FRACTION * (np.ptp(offset, axis=0) + 1))).astype(np.int64)
+    pad = np.maximum(np.abs(offset).max(axis=0) + margin - reach, 0)
+    return np.pad(cropped, [(pad[0], pad[0]), (pad[1], pad[1]), (0, 0)])
 
 
 def _support(psf: FloatArray) -> npt.NDArray[np.bool_]:

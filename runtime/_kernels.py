@@ -10,6 +10,9 @@ import numpy as np
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
 """Columns of the table of runs: first pixel in the flattened source; target row, column; length; variant."""
 
+LONG_RUN = 16
+"""Pixels from which a run is drawn along itself rather than along the rows of a direct PSF."""
+
 _U = np.uint64
 
 
@@ -192,6 +195,77 @@ def splat_runs(image, radiance, runs, row_start, points, value, point_start, geo
                 _draw_pixel(image, radiance, source, target, point_offset, value, begin, end)
             else:
                 _draw_run(image, radiance, source, target, n, point_offset, value, begin, end)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_direct_run(image, radiance, source, target, n, spans, value, bounds, tiled):
+    """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
+    _, span_offset, span_start = spans
+    begin, end = bounds
+    if n >= LONG_RUN:
+        for span in range(begin, end):
+            o = _U(target + span_offset[span])
+            for p in range(_U(4 * span_start[span]), _U(4 * span_start[span + 1]), _U(4)):
+                r, g, b, a = value[p], value[p + _U(1)], value[p + _U(2)], value[p + _U(3)]
+                if r == a and g == a and b == a:
+                    for k in range(_U(4 * n)):
+                        image[o + _U(k)] += a * radiance[source + _U(k)]
+                else:
+                    for k in range(_U(0), _U(4 * n), _U(4)):
+                        image[o + k] += r * radiance[source + k]
+                        image[o + k + _U(1)] += g * radiance[source + k + _U(1)]
+                        image[o + k + _U(2)] += b * radiance[source + k + _U(2)]
+                        image[o + k + _U(3)] += a * radiance[source + k + _U(3)]
+                o += _U(4)
+        return
+    for pixel in range(n):
+        for k in range(len(tiled)):
+            tiled[k] = radiance[source + _U(4 * pixel + (k & 3))]
+        for span in range(begin, end):
+            o = _U(target + 4 * pixel + span_offset[span])
+            first = _U(4 * span_start[span])
+            for k in range(_U(4 * (span_start[span + 1] - span_start[span]))):
+                image[o + _U(k)] += value[first + _U(k)] * tiled[_U(k)]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def splat_spans(image, radiance, runs, row_start, spans, value, span_of_variant, cols, band_rows):
+    """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_runs`.
+
+    Short runs are drawn pixel by pixel, each span of the PSF as one contiguous stretch; long ones point by point, each
+    point adding the run as one contiguous stretch.
+
+    Parameters
+    ----------
+    image, radiance, runs, row_start, cols, band_rows
+        As for `splat_runs`; the stride is 1.
+    spans : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
+        Row offset of each span, ascending within a variant; its offset in floats of the flattened image; its points.
+    value : ndarray of shape (n_points * 4,), float32
+        Values of the points for R, G, B and alpha.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        The spans of each variant.
+    """
+    span_row, span_offset, span_start = spans
+    rows = row_start.shape[0] - 1
+    reach = 0
+    longest = 0
+    for span in range(span_row.shape[0]):
+        reach = max(reach, abs(span_row[span]))
+        longest = max(longest, span_start[span + 1] - span_start[span])
+    for band in numba.prange((rows + band_rows - 1) // band_rows):
+        begin_row = band * band_rows
+        end_row = min(begin_row + band_rows, rows)
+        tiled = np.empty(4 * longest, np.float32)
+        for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
+            row, length, variant = runs[i, 1], runs[i, 3], runs[i, 4]
+            begin = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
+            end = _first_point(span_row, begin, span_of_variant[variant + 1], end_row - row)
+            if begin == end:
+                continue
+            source = _U(4) * _U(runs[i, 0])
+            target = 4 * (np.int64(row) * cols + runs[i, 2])
+            _draw_direct_run(image, radiance, source, target, length, spans, value, (begin, end), tiled)
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)

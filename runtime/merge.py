@@ -3,8 +3,8 @@
 The PSF of a wide blur hides what lies within a block of 2 x 2 or 4 x 4 pixels. Replacing the pixels x_i of a block by
 their mean changes the result at x by ``sum_i d_i f(x - x_i)``, d_i being their deviations, which is at most
 ``D osc(f)``, D half the sum of their absolute values and osc(f) the range of the PSF over the block. Summed over blocks
-alike, that is at most ``D TV(f) (s - 1) / s^2``, with the PSF's total variation TV and the block's side s. Uniform blocks
-are exact; a highlight has a large deviation and keeps its own place.
+alike, that is at most ``D TV(f) (s - 1) / s^2``, with the PSF's total variation TV and the block's side s. Uniform
+blocks are exact; a highlight has a large deviation and keeps its own place.
 
 Blocks are drawn at their first pixels into an image of their own, and the sum over the block's area is taken once, for
 all blocks together, by adding moved copies of that image.

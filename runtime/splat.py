@@ -104,19 +104,29 @@ def splat(
     if source.shift is not NO_SHIFT:
         runs = np.ascontiguousarray(runs[np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")])
     row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], np.arange(rows + 1)).astype(np.int64)
-    row, col = table.offset_rc.T
-    points = np.ascontiguousarray(row), 4 * (row.astype(np.int64) * cols + col)
-    _kernels.splat_runs(
-        image.reshape(-1),
-        np.ascontiguousarray(source.radiance).reshape(-1),
-        runs,
-        row_start,
-        points,
-        table.value,
-        table.point_start,
-        (cols, source.stride),
-        BAND_ROWS,
-    )
+    flat = image.reshape(-1), np.ascontiguousarray(source.radiance).reshape(-1), runs, row_start
+    if table.direct[wanted].all():
+        spans, value, span_of_variant = _spans(table, cols)
+        _kernels.splat_spans(*flat, spans, value, span_of_variant, cols, BAND_ROWS)
+    else:
+        row, col = table.offset_rc.T
+        points = np.ascontiguousarray(row), 4 * (row.astype(np.int64) * cols + col)
+        _kernels.splat_runs(*flat, points, table.value, table.point_start, (cols, source.stride), BAND_ROWS)
+
+
+def _spans(
+    table: PointTable, cols: int
+) -> tuple[tuple[npt.NDArray[np.int64], ...], npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    """Group points that are neighbours in a row; see `runtime._kernels.splat_spans` for what is returned."""
+    row, col = table.offset_rc.T.astype(np.int64)
+    breaks = np.ones(len(row), np.bool_)
+    breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
+    breaks[table.point_start[:-1]] = True
+    first = np.flatnonzero(breaks)
+    spans = row[first], 4 * (row[first] * cols + col[first]), np.append(first, len(row))
+    lanes = [0, 0, 0, 0] if table.value.shape[1] == 1 else [0, 1, 2, 3]
+    coloured = np.concatenate([table.value, table.value.mean(axis=1, keepdims=True)], axis=1)
+    return spans, coloured[:, lanes].reshape(-1), np.searchsorted(first, table.point_start)
 
 
 def gather(source: SplatPass, table: PointTable) -> npt.NDArray[np.float32]:

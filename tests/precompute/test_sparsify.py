@@ -52,6 +52,16 @@ def test_far_field_dies_off():
     assert np.abs(dense[np.hypot(y, x) > 50]).max() < 1e-4 * peak
 
 
+def test_faint_tails_keep_their_energy():
+    y, x = np.mgrid[:181, :181] - 90
+    psf = np.exp(-np.hypot(y, x) / 6)
+    assert psf[psf < 1e-4].sum() > 1e-4 * psf.sum()
+    spreadlet, _ = sparsify(psf)
+    energy = spreadlet.moments()[4:].sum() / 4
+    assert not spreadlet.direct
+    assert energy == pytest.approx(psf.sum(), rel=1e-5)
+
+
 def test_density_trades_points_for_similarity():
     psf = capsule_psf(10.0, 12.0, 0.3)
     figures = [sparsify(psf, density=density)[1] for density in (0.5, 1, 2)]

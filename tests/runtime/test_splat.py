@@ -51,6 +51,20 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
 
 
 @pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_direct_points_that_are_neighbours_are_drawn_like_single_ones(n_channels):
+    rng = np.random.default_rng(8)
+    _, source = random_table(rng, n_channels), random_pass(rng, n_variants=2)
+    grid = np.argwhere(rng.random((7, 9)) < 0.8).astype(np.int32) - [3, 4]
+    offset = np.concatenate([grid, grid[::2]]).astype(np.int32)
+    value = rng.random((len(offset), n_channels)).astype(np.float32)
+    table = PointTable(offset, value, np.array([0, len(grid), len(offset)]), np.ones(2, bool))
+    image = np.zeros((90, 43, 4), np.float32)
+    splat(image, source, table, 10, table.direct)
+    assert np.allclose(image, splat_naive(image.shape, source, table, 10, table.direct), atol=2e-5)
+
+
+@pytest.mark.interpreted
 def test_a_pass_without_shift_is_one_with_zero_shift():
     rng = np.random.default_rng(7)
     table, source = random_table(rng, 1), random_pass(rng, shift=0)
