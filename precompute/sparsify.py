@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Result = tuple[Spreadlet, dict[str, float]]
 
-PRICE = 0.3
+PRICE = 0.25
 """Loss of similarity that is accepted, at density 1, for a sparsity that is lower by 1: dropping a point may cost
 this much divided by the number of pixels of the support. One price for all PSFs gives the best mean of each for the
 mean of the other."""
