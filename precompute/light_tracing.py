@@ -29,7 +29,7 @@ from spreadlets.psf_model import PsfModel
 
 FloatArray = npt.NDArray[np.float64]
 
-RAYS_PER_PIXEL = 512
+RAYS_PER_PIXEL = 1024
 """Default point-equivalent deposits per pixel of the PSF's square."""
 
 MIN_RAYS = 1 << 17

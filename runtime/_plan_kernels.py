@@ -37,7 +37,7 @@ def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
     sharp : ndarray of shape (H, W), bool
         Pixels that get the key `SHARP`.
     grid : tuple of ndarrays
-        ``maximum``, ``power``, ``shape``, ``level_offset`` of the model's grid, ``cell_start`` of the database.
+        ``remap``, ``shape``, ``level_offset`` of the model's grid, ``cell_start`` of the database.
     scales : tuple of two ints
         Scale steps per octave, and number of scale steps.
     key : ndarray of shape (H, W), int64
@@ -45,9 +45,9 @@ def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
     excess : ndarray of shape (H, 2), float64
         Filled with each row's largest factor by which a PSF exceeds the range, and the number of such pixels.
     """
-    maximum, power, shape, level_offset, cell_start = grid
+    remap, shape, level_offset, cell_start = grid
     steps_per_octave, n_scales = scales
-    n_axes = len(maximum)
+    n_axes = len(remap)
     for row in numba.prange(radiance.shape[0]):
         units = np.empty(n_axes, np.float64)
         excess[row] = 0.0
@@ -61,15 +61,14 @@ def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
                 continue
             factor = 0.0
             for axis in range(n_axes):
-                factor = max(factor, coordinate[axis, row, col] / maximum[axis])
+                factor = max(factor, coordinate[axis, row, col] / remap[axis, 0])
             step = _scale_step(factor, steps_per_octave, n_scales)
             if step:
                 excess[row, 0] = max(excess[row, 0], factor)
                 excess[row, 1] += 1
             shrink = 2.0 ** (-step / steps_per_octave) if step else 1.0
             for axis in range(n_axes):
-                value = coordinate[axis, row, col] * shrink
-                units[axis] = grid_coordinate(value, maximum[axis], 1.0 / power[axis], shape[axis])
+                units[axis] = grid_coordinate(coordinate[axis, row, col] * shrink, remap[axis], shape[axis])
             cell = cell_index(units, shape, level_offset)
             n_directions = cell_start[cell + 1] - cell_start[cell]
             direction, transpose, flip_row, flip_col = 0, False, False, False

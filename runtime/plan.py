@@ -169,7 +169,7 @@ def _variant_keys(
     coordinate = _coordinates({"coc": radius, "motion": length}, grid)
     key = np.empty(radius.shape, np.int64)
     excess = np.empty((len(radius), 2), np.float64)
-    tables = grid.maximum, grid.power, np.array(grid.shape, np.int64), grid.nested.level_offset, cell_start
+    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.level_offset, cell_start
     scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
     sharp = radius + np.float32(0.5) * length <= SHARP_EXTENT
     _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, sharp, tables, scales, key, excess)

@@ -73,17 +73,20 @@ def cell_index(coordinate: FloatArray, shape: IntArray, level_offset: IntArray) 
 
 
 @numba.njit(cache=True, fastmath=False)
-def grid_coordinate(value: float, maximum: float, inverse_power: float, n_units: int) -> float:
-    """Map a physical coordinate to grid units, ``n_units * (value / maximum) ** inverse_power``, clamped (LKS 5.2)."""
-    fraction = min(value / maximum, 1.0)
+def grid_coordinate(value: float, remap: FloatArray, n_units: int) -> float:
+    """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
+
+    ``remap`` holds the axis's maximum, its power, and its floor on the remapped axis: see `spreadlets.psf_model.PsfGrid`.
+    """
+    fraction = min(value / remap[0], 1.0)
     if not fraction > 0.0:
         return 0.0
     # The usual powers, 1 and 2, need no general power function, which would be most of a frame's look-up time.
-    if inverse_power == 1.0:
-        return float(n_units * fraction)
-    if inverse_power == 0.5:
-        return float(n_units * math.sqrt(fraction))
-    return float(n_units * fraction**inverse_power)
+    if remap[1] == 2.0:
+        fraction = math.sqrt(fraction)
+    elif remap[1] != 1.0:
+        fraction = fraction ** (1.0 / remap[1])
+    return max(n_units * (fraction - remap[2]) / (1.0 - remap[2]), 0.0)
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -96,12 +99,12 @@ def cell_indices(coordinates: FloatArray, shape: IntArray, level_offset: IntArra
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def grid_coordinates(coordinates: FloatArray, maximum: FloatArray, power: FloatArray, shape: IntArray) -> FloatArray:
+def grid_coordinates(coordinates: FloatArray, remap: FloatArray, shape: IntArray) -> FloatArray:
     """Apply `grid_coordinate` to each entry of ``coordinates`` (n, n_axes), physical units."""
     out = np.empty(coordinates.shape, dtype=np.float64)
     for row in numba.prange(coordinates.shape[0]):
         for axis in range(coordinates.shape[1]):
-            out[row, axis] = grid_coordinate(coordinates[row, axis], maximum[axis], 1.0 / power[axis], shape[axis])
+            out[row, axis] = grid_coordinate(coordinates[row, axis], remap[axis], shape[axis])
     return out
 
 

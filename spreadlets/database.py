@@ -88,6 +88,7 @@ def _write_header(file: h5py.File, grid: PsfGrid, provenance: Mapping[str, Any])
     file.attrs["shape"] = np.asarray(grid.shape, dtype=np.int64)
     file.attrs["maximum"] = np.asarray([axis.maximum for axis in grid.model.axes], dtype=np.float64)
     file.attrs["power"] = np.asarray([axis.power for axis in grid.model.axes], dtype=np.float64)
+    file.attrs["floor"] = np.asarray([axis.floor for axis in grid.model.axes], dtype=np.float64)
     file.attrs["direction_step_px"] = grid.direction_step_px
     file.attrs["provenance"] = json.dumps(dict(provenance), sort_keys=True)
 
@@ -337,12 +338,12 @@ def _read_grid(file: h5py.File) -> PsfGrid:
         )
     shape = tuple(int(size) for size in np.asarray(file.attrs["shape"]))
     model = get_model(str(file.attrs["model"]))
-    ranges = np.stack([file.attrs["maximum"], file.attrs["power"]], axis=-1)
+    ranges = np.stack([file.attrs[name] for name in ("maximum", "power", "floor")], axis=-1)
     if not len(shape) == len(ranges) == model.n_axes or not all(0 < size <= MAX_CELLS for size in shape):
         raise InvalidDatabaseError(f"{file.filename}: grid shape {shape} does not fit model {model.name!r}")
     axes = [
-        replace(axis, maximum=float(maximum), power=float(power))
-        for axis, (maximum, power) in zip(model.axes, ranges, strict=True)
+        replace(axis, maximum=float(maximum), power=float(power), floor=float(floor))
+        for axis, (maximum, power, floor) in zip(model.axes, ranges, strict=True)
     ]
     return PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
 

@@ -23,6 +23,10 @@ Measured on frames, steps from 0.5 to 2 px differ by less than 0.0005 in SSIM.""
 STILL_MOTION_PX = 1.0
 """A path no longer than a pixel, px, looks the same in every direction."""
 
+COC_FLOOR_PX = 1.0
+"""PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as 800
+without: half of them would go to radii that no pixel shows."""
+
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""
 
@@ -41,18 +45,27 @@ class Axis:
         The coordinate runs from 0 to this value.
     power : float
         Grid units grow as ``(s / maximum) ** (1 / power)``: above 1, cells are finer near zero (LKS section 5.2).
+    floor : float
+        Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
     """
 
     name: str
     unit: str
     maximum: float
     power: float
+    floor: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf):
+        if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf and 0.0 <= self.floor < self.maximum):
             raise InvalidParameterError(
-                f"axis {self.name!r} needs a finite maximum and power above 0, not {self.maximum} and {self.power}"
+                f"axis {self.name!r} needs a finite maximum and power above 0 and a floor from 0 to below the maximum, "
+                f"not {self.maximum}, {self.power} and {self.floor}"
             )
+
+    @property
+    def first(self) -> float:
+        """The floor on the power-remapped axis, in [0, 1)."""
+        return float((self.floor / self.maximum) ** (1.0 / self.power))
 
 
 @dataclass(frozen=True)
@@ -84,14 +97,18 @@ class PsfModel:
         return len(self.axes)
 
 
+def _coc_floor(max_coc: float) -> float:
+    return min(COC_FLOOR_PX, 0.5 * max_coc)
+
+
 def _simplelens(max_coc: float, max_motion: float) -> PsfModel:
     """Thin lens; the motion is ignored."""
-    return PsfModel("simplelens", (Axis("coc", "px", max_coc, 2.0),), 1, False, 100)
+    return PsfModel("simplelens", (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),), 1, False, 100)
 
 
 def _combined(max_coc: float, max_motion: float) -> PsfModel:
     """Thin lens with straight, constant motion; its length is that of the path over the shutter."""
-    axes = (Axis("coc", "px", max_coc, 2.0), Axis("motion", "px", max_motion, 1.0))
+    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)), Axis("motion", "px", max_motion, 1.0))
     return PsfModel("combined", axes, 1, True, 400)
 
 
@@ -139,7 +156,8 @@ class PsfGrid:
 
     Notes
     -----
-    LKS section 5.2. A physical coordinate s of an axis lies at ``N (s / maximum) ** (1 / power)`` grid units.
+    LKS section 5.2. A physical coordinate s of an axis lies at ``N (t - t0) / (1 - t0)`` grid units, with
+    ``t = (s / maximum) ** (1 / power)`` and t0 that of the axis's floor.
     """
 
     model: PsfModel
@@ -180,10 +198,23 @@ class PsfGrid:
         return np.array([axis.power for axis in self.model.axes], dtype=np.float64)
 
     @cached_property
+    def first(self) -> npt.NDArray[np.float64]:
+        """Floor of each axis on the power-remapped axis, shape (n_axes,)."""
+        return np.array([axis.first for axis in self.model.axes], dtype=np.float64)
+
+    @cached_property
+    def remap(self) -> npt.NDArray[np.float64]:
+        """Maximum, power and first of each axis, shape (n_axes, 3), as the kernels take them."""
+        return np.stack([self.maximum, self.power, self.first], axis=1)
+
+    @cached_property
     def boxes(self) -> npt.NDArray[np.float64]:
         """Every cell's box, physical units, shape (n_cells, n_axes, 2)."""
-        fraction = self.nested.boxes() / np.array(self.shape, dtype=np.float64)[:, None]
-        return np.asarray(self.maximum[:, None] * fraction ** self.power[:, None], dtype=np.float64)
+        units = self.nested.boxes()
+        first = self.first[:, None]
+        fraction = first + (1.0 - first) * units / np.array(self.shape, dtype=np.float64)[:, None]
+        boxes = self.maximum[:, None] * fraction ** self.power[:, None]
+        return np.asarray(np.where(units > 0, boxes, 0.0), dtype=np.float64)
 
     @cached_property
     def direction_counts(self) -> npt.NDArray[np.int64]:
@@ -206,7 +237,7 @@ class PsfGrid:
         points = as_coordinates(coordinates, self.model.n_axes)
         flat = points.reshape(-1, self.model.n_axes)
         shape = np.array(self.shape, dtype=np.int64)
-        units = grid_coordinates(flat, self.maximum, self.power, shape)
+        units = grid_coordinates(flat, self.remap, shape)
         cells = cell_indices(units, shape, self.nested.level_offset)
         return np.asarray(cells.reshape(points.shape[:-1]), dtype=np.int64)
 
