@@ -37,7 +37,7 @@ INTEGRATORS = (
 )
 MEASURED_SECONDS = 6.0
 """Time spent on each integrator and size, so that the best run finds the machine idle."""
-FEWEST_RUNS, MOST_RUNS = 3, 60
+FEWEST_RUNS, MOST_RUNS = 3, 300
 
 Image = NDArray[np.float32]
 

@@ -399,7 +399,7 @@ def coordinates(effort: Effort, folder: Path) -> list[Row]:
     """LKS Fig. 10 e: the nearest cell's spreadlet against the exact PSF at random coordinates."""
     grid = grid_of()
     fraction = generator("coordinates").random((effort.coordinates, 2))
-    places = grid.maximum * fraction**grid.power
+    places = grid.maximum * (grid.first + (1.0 - grid.first) * fraction) ** grid.power
     columns = []
     for n_cells in effort.grids:
         cells = grid_of(n_cells).find(places)
@@ -527,7 +527,7 @@ def shapes(effort: Effort, folder: Path) -> list[Row]:
     """LKS Fig. 10 f: similarity against sparsity of PSFs of three shapes and sizes."""
     tasks = [(name, size, density) for name in SHAPES for size in SHAPES[name] for density in effort.shape_densities]
     found = np.array(parallel(shape_figures, tasks)).reshape(len(SHAPES), 3, -1, 2)
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained", sharey=True)
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained", sharex=True, sharey=True)
     rows = []
     for axis, (name, sizes), curves in zip(axes, SHAPES.items(), found, strict=True):
         for letter, size, curve in zip(SIZES, sizes, curves, strict=True):
@@ -538,7 +538,7 @@ def shapes(effort: Effort, folder: Path) -> list[Row]:
             points = ", ".join(f"{s:.3f} at {100 * x:.2g} %" for x, s in shown)
             rows.append(Row(f"{label}: similarity at sparsity", "curve", "curve", points))
         axis.set(xlabel="sparsity, %", title=name)
-        axis.legend()
+        axis.legend(loc="lower right" if name == "Gaussian" else "lower left")
     axes[0].set_ylabel("similarity")
     save(figure, folder, "shapes")
     return rows
@@ -640,7 +640,7 @@ WIDTHS = (84, 14, 30)
 
 
 def save(figure: Any, folder: Path, part: str) -> None:
-    figure.savefig(folder / f"{NAME}_{part}.png", dpi=90)
+    figure.savefig(folder / f"{NAME}_{part}.png", dpi=80)
     plt.close(figure)
 
 

@@ -419,12 +419,12 @@ class _PublishedSolver:
         # The published filters invert minus the Laplacian: the finest level's answer changes sign.
         negate = np.array([[-1], [1]], np.float32)
         self.last_up, self.last_own = self.up * negate, self.own * negate
-        self.shapes = [(height, width * n_channels)]
+        shapes = [(height, width * n_channels)]
         for _ in range(1, math.ceil(math.log2(max(height, width)))):
             height, width = ((side + 2 * self.pad + 1) // 2 for side in (height, width))
-            self.shapes.append((height, width * n_channels))
-        self.sources, self.answers = ([np.empty(shape, np.float32) for shape in self.shapes[1:]] for _ in range(2))
-        widest = max(width for _, width in self.shapes) + (2 * self.pad + 8) * n_channels
+            shapes.append((height, width * n_channels))
+        self.sources, self.answers = ([np.empty(shape, np.float32) for shape in shapes[1:]] for _ in range(2))
+        widest = max(width for _, width in shapes) + (2 * self.pad + 8) * n_channels
         self.scratch = np.empty((threads, 5, widest), np.float32)
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
@@ -527,13 +527,9 @@ class _LevelSolver:
     def _relax(self, level: int, image: Rows, source: Rows, out: Rows) -> float:
         """Add the next level's answer to an image and relax it; return the largest magnitude of the outcome."""
         kind, bands = min(level, 1), self._bands(level)
-        taps, weights, largest, scratch = (
-            self.up[kind],
-            self.weights[kind],
-            self.band_largest[bands],
-            self.relax_scratch,
-        )
-        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch[bands])
+        taps, weights = self.up[kind], self.weights[kind]
+        largest, scratch = self.band_largest[bands], self.relax_scratch[bands]
+        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch)
         return _magnitude(largest)
 
     def _solve_coarser_levels(self) -> None:

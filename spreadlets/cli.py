@@ -14,6 +14,9 @@ import click
 
 from spreadlets.errors import SpreadletsError
 
+BAR_WIDTH = 40
+"""Characters of the whole time in the chart of steps."""
+
 EXIT_BAD_INPUT = 2
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
@@ -235,7 +238,9 @@ def _finite(value: Any) -> Any:
 def _lines(figures: dict[str, Any], indent: str) -> list[str]:
     lines = []
     for name, value in figures.items():
-        if isinstance(value, dict):
+        if name == "time_s":
+            lines += [f"{indent}{name}", *_time_chart(value, indent + "  ")]
+        elif isinstance(value, dict):
             lines += [f"{indent}{name}", *_lines(value, indent + "  ")]
         elif isinstance(value, float):
             lines.append(f"{indent}{name:<18} {value:.5g}")
@@ -243,6 +248,13 @@ def _lines(figures: dict[str, Any], indent: str) -> list[str]:
             text = ", ".join(map(str, value)) if isinstance(value, list) else value
             lines.append(f"{indent}{name:<18} {text}")
     return lines
+
+
+def _time_chart(time_s: dict[str, float], indent: str) -> list[str]:
+    """Draw the share of each step in the total as a bar."""
+    total = max(time_s["total"], 1e-9)
+    bars = {name: "#" * round(BAR_WIDTH * seconds / total) for name, seconds in time_s.items() if name != "total"}
+    return [f"{indent}{name:<16} {seconds:8.3f} {bars.get(name, '')}".rstrip() for name, seconds in time_s.items()]
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

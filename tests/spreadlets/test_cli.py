@@ -63,6 +63,17 @@ def test_synth_prints_one_json_object(run, scene, small_combined_path):
     assert exr.read_image(scene / "out.exr").shape == (24, 32, 4)
 
 
+def test_without_json_the_steps_are_a_chart(run, scene, small_combined_path):
+    status, out, _ = run(*synth_arguments(scene, small_combined_path))
+    bars = [line.count("#") for line in out.splitlines() if line.startswith("  ") and "#" in line]
+    assert status == 0 and bars and 35 <= sum(bars) <= 45
+
+
+def test_a_tolerance_out_of_range_is_refused(run, scene, small_combined_path):
+    status, _, err = run(*synth_arguments(scene, small_combined_path), "--tolerance", "-1")
+    assert status == 2 and "tolerance is -1.0: allowed are 0" in err
+
+
 def test_switches_reach_the_result(run, scene, small_combined_path):
     images = {}
     for name in ("--no-defocus", "--no-motion", "--json"):

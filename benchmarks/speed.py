@@ -1,0 +1,179 @@
+"""Time of dense splatting against spreadlets on 1024 x 1024 frames, two threads, after compilation.
+
+    python benchmarks/speed.py [--size 1024] [--rounds 3] [--frames DIR]
+
+Synthetic frames: a picture with texture and highlights; CoC radius constant, smoothly varying, or random for each pixel
+(from half the radius to the radius), alone and with motion. Rendered frames are read from ``--frames`` (default
+../shared/frames, skipped where missing) and tiled to the size. Databases with just the cells in use are built for the
+run. Times are medians of interleaved rounds. Dense splatting draws the same PSFs in full; tracing them is not counted.
+Writes speed.txt to benchmarks/results.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+from scipy import ndimage
+
+import spreadlets as sp
+from runtime.render import Clock, synthesize
+from spreadlets.api import _dense_psf
+
+RESULTS = Path(__file__).parent / "results"
+SCENES = ("coins", "whirl", "fence")
+RADII = (16, 32, 64, 128)
+CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.01, focus_distance_m=4.0, shutter=(-0.25, 0.25))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def multiply_add(image: np.ndarray, radiance: np.ndarray, weight: np.float32, repeats: int) -> None:
+    """Add a scaled block to another, over and over: the machine's rate for contiguous data in cache."""
+    for thread in numba.prange(2):
+        for _ in range(repeats):
+            for k in range(image.shape[1]):
+                image[thread, k] += weight * radiance[thread, k]
+
+
+def unit_time() -> float:
+    """Return the seconds that two threads take for one contiguous float4 multiply-add."""
+    image, radiance = np.zeros((2, 2, 1 << 14), np.float32)
+    multiply_add(image, radiance, np.float32(1), 1)
+    best = np.inf
+    for _ in range(9):
+        begin = time.perf_counter()
+        multiply_add(image, radiance, np.float32(1), 2000)
+        best = min(best, time.perf_counter() - begin)
+    return best / (2 * 2000 * (1 << 12))
+
+
+def picture(size: int) -> np.ndarray:
+    """Return a picture with smooth shading, texture, and one highlight in a thousand pixels."""
+    rng = np.random.default_rng(0)
+    shading = ndimage.gaussian_filter(rng.random((size, size, 3)), (40, 40, 0), mode="wrap")
+    shading = (shading - shading.min()) / np.ptp(shading)
+    texture = ndimage.gaussian_filter(rng.random((size, size, 1)), (2, 2, 0), mode="wrap") - 0.5
+    highlights = np.where(rng.random((size, size, 1)) < 1e-3, 20 * rng.random((size, size, 1)), 0)
+    return np.clip(0.1 + 0.6 * shading + texture, 0.01, None) + highlights
+
+
+def synthetic(size: int, kind: str, radius: float, motion: float) -> sp.Frame:
+    """Return a frame of one kind of labels: constant, smooth or noisy."""
+    rng = np.random.default_rng(1)
+    if kind == "constant":
+        wave = np.ones((size, size))
+    elif kind == "smooth":
+        wave = ndimage.gaussian_filter(rng.random((size, size)), 60, mode="wrap")
+        wave = 0.5 + 0.5 * (wave - wave.min()) / np.ptp(wave)
+    else:
+        wave = rng.uniform(0.5, 1.0, (size, size))
+    scale = 0.5 * (0.05 / CAMERA.f_number) * (50 / 36 * size)
+    depth = 1 / (1 / CAMERA.focus_distance_m - radius * wave / scale)
+    angle = 0.4 + (wave - 1) * (0 if kind == "constant" else 2)
+    path = motion * wave[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return sp.Frame(picture(size), depth, path / CAMERA.shutter_duration)
+
+
+def rendered(folder: Path, scene: str, size: int) -> tuple[sp.Frame, sp.ThinLens]:
+    """Return a rendered frame tiled to the size, and its camera with the same CoC in pixels."""
+    frame = sp.read_frame(folder / f"{scene}_pinhole.exr")
+    camera = sp.read_camera(folder / f"{scene}.json")
+    times = -(-size // frame.shape[0])
+    tiled = (
+        np.tile(array, (times, times, *(1,) * (array.ndim - 2)))[:size, :size]
+        for array in (frame.radiance, frame.depth, frame.motion)
+    )
+    return sp.Frame(*tiled), replace(camera, sensor_width_mm=camera.sensor_width_mm * size / frame.shape[1])
+
+
+class DenseCache:
+    """Traces each PSF once."""
+
+    def __init__(self, database: sp.Database) -> None:
+        self.trace, self.known = _dense_psf(database), {}
+
+    def __call__(self, cell: int, direction: int, scale: float) -> np.ndarray:
+        """Return the PSF of a cell."""
+        key = cell, direction, scale
+        if key not in self.known:
+            self.known[key] = self.trace(*key)
+        return self.known[key]
+
+
+def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: float) -> str:
+    """Return a row of the table for one frame."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "frame.h5"
+        limit = float(np.ceil(np.abs(camera.coc_radius(frame.depth, frame.shape[1])).max()))
+        longest = float(np.ceil(np.hypot(*np.moveaxis(frame.motion, 2, 0)).max() * camera.shutter_duration))
+        sizes = {"max_coc": max(64.0, limit), "max_motion": max(128.0, longest)}
+        sp.build_database("combined", path, frames=[frame], camera=camera, **sizes)
+        with sp.open_database(path) as database:
+            options = {
+                "dense": {"dense_psf": DenseCache(database)},
+                "exact": {"tolerance": 0.0},
+                "default": {},
+            }
+            for each in options.values():
+                synthesize(frame, camera, database, **each)
+            times: dict[str, list[dict[str, float]]] = {method: [] for method in options}
+            for _ in range(rounds):
+                for method, each in options.items():
+                    clock = Clock()
+                    image, report = synthesize(frame, camera, database, clock=clock, **each)
+                    times[method].append(clock.times())
+                    if method == "dense":
+                        ceiling = image
+                    elif method == "exact":
+                        points = report["plan"]["points_splatted"]
+                    else:
+                        merged, plan = image, report["plan"]
+    steps = {m: {s: statistics.median(t[s] for t in each) for s in each[0]} for m, each in times.items()}
+    plan_time = steps["exact"]["plan"]
+    dense = plan_time + sum(steps["dense"][step] for step in ("splat", "integrate", "composite"))
+    similarity = sp.metrics.ssim(merged, ceiling)
+    cells = [name, dense, steps["exact"]["total"], steps["default"]["total"]]
+    cells += [dense / steps["exact"]["total"], dense / steps["default"]["total"], 1 - similarity]
+    cells += [steps["exact"]["splat"] / points / unit, points / frame.depth.size]
+    cells += [plan["points_splatted"] / frame.depth.size]
+    cells += [1000 * steps["default"][step] for step in ("plan", "splat", "integrate", "composite")]
+    return "".join(f"{cell:>22}" if isinstance(cell, str) else f"{cell:>9.3f}" for cell in cells)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=1024)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--only", help="rows whose name contains this")
+    arguments = parser.parse_args()
+    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    unit = unit_time()
+    titles = ("dense s", "tol 0 s", "s", "x tol 0", "x", "1-SSIM", "unit/pt", "pts tol0", "pts")
+    titles += ("plan ms", "splat", "integr.", "compos.")
+    lines = [f"contiguous float4 multiply-add, two threads: {1e9 * unit:.3f} ns", f"{'frame':>22}"]
+    lines[1] += "".join(f"{title:>9}" for title in titles)
+    print("\n".join(lines), flush=True)
+    rows = [(kind, radius, 0) for kind in ("constant", "smooth", "noisy") for radius in RADII]
+    rows += [(kind, 32, motion) for kind in ("constant", "smooth", "noisy") for motion in (64, 128)]
+    for kind, radius, motion in rows:
+        name = f"{kind} {radius} + {motion}"
+        if arguments.only in (None, "") or arguments.only in name:
+            frame = synthetic(arguments.size, kind, radius, motion)
+            lines.append(measure(name, frame, CAMERA, arguments.rounds, unit))
+            print(lines[-1], flush=True)
+    for scene in SCENES if (arguments.frames / "coins_pinhole.exr").exists() else ():
+        if arguments.only in (None, "") or arguments.only in scene:
+            frame, camera = rendered(arguments.frames, scene, arguments.size)
+            lines.append(measure(scene, frame, camera, arguments.rounds, unit))
+            print(lines[-1], flush=True)
+    if arguments.only is None:
+        (RESULTS / "speed.txt").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
