@@ -18,8 +18,8 @@ test: $(VENV)/.installed-dev
 
 # The commands that regenerate the databases in psf_db/.
 databases: $(VENV)/.installed
-	$(BIN)/spreadlets build simplelens -o psf_db/simplelens.h5 --max-coc 128
-	$(BIN)/spreadlets build combined -o psf_db/combined.h5 --max-coc 128 --max-motion 128
+	$(BIN)/spreadlets build simplelens -o psf_db/simplelens.h5
+	$(BIN)/spreadlets build combined -o psf_db/combined.h5
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'

@@ -63,6 +63,9 @@ LARGE_COC = 4.0
 LKS_SPARSITY, LKS_SIMILARITY = 0.093, 0.97
 LKS_QUADTREE = 0.89
 
+COC_BANDS = (0.0, 2.0, 4.0, 8.0, 16.0, 100.0)
+"""CoC radii, px, between which means are also shown."""
+
 SHOWN_SIMILARITY = 0.8
 """Least similarity of the histogram."""
 
@@ -198,8 +201,13 @@ class Measured(NamedTuple):
     quadtree: float
 
 
-def measure_cell(cell: int, density: float) -> Measured:
+def measure_cell(cell: int) -> list[Measured]:
+    """Measure a cell at each of the densities."""
     psf = cell_psf(grid_of(), cell)
+    return [measure_psf(psf, density) for density in DENSITIES]
+
+
+def measure_psf(psf: np.ndarray, density: float) -> Measured:
     stored, figures = sparsify(psf, density=density, seed=SEED)
     forced = forced_sparse(psf, density) if stored.direct else stored
     close = similarity(psf, stored)
@@ -208,7 +216,7 @@ def measure_cell(cell: int, density: float) -> Measured:
         points=stored.n_points,
         support=int(figures["n_support"]),
         similarity=close,
-        window=window_similarity(psf, stored),
+        window=window_similarity(psf, stored) if density == 1.0 else math.nan,
         forced_points=forced.n_points,
         forced_similarity=similarity(psf, forced) if forced is not stored else close,
         quadtree=psf_similarity(*quadtree_pair(psf, stored.n_points)) if density == 1.0 else math.nan,
@@ -271,9 +279,9 @@ def corpus(effort: Effort, folder: Path) -> list[Row]:
     grid = grid_of()
     large = np.array([grid.coordinate(cell)[0] >= LARGE_COC for cell in cells])
     kept = {}
-    for density in DENSITIES:
-        measured = parallel(measure_cell, [(int(cell), density) for cell in cells])
-        c = {name: np.array([getattr(m, name) for m in measured]) for name in Measured._fields}
+    measured = parallel(measure_cell, [(int(cell),) for cell in cells])
+    for number, density in enumerate(DENSITIES):
+        c = {name: np.array([getattr(m[number], name) for m in measured]) for name in Measured._fields}
         c["sparsity"], c["forced_sparsity"] = c["points"] / c["support"], c["forced_points"] / c["support"]
         kept[density] = c
     always = np.all([~c["direct"] for c in kept.values()], axis=0)
@@ -309,7 +317,6 @@ def operating_rows(density: float, c: dict[str, np.ndarray], large: np.ndarray, 
             "-",
             f"{100 * points / support:.2f} %",
         ),
-        Row("  similarity over the whole 512 x 512 px window, as stored", ".97", "-", f"{c['window'].mean():.4f}"),
     ]
 
 
@@ -318,15 +325,31 @@ def means(c: dict[str, np.ndarray], chosen: np.ndarray, kind: str = "") -> tuple
 
 
 def single_rows(c: dict[str, np.ndarray], cells: np.ndarray, large: np.ndarray) -> list[Row]:
+    """Return the rows of density 1 alone."""
     worst = np.flatnonzero(large)[np.argmin(c["similarity"][large])]
     coordinate = grid_of().coordinate(int(cells[worst])).round(1).tolist()
     place = f"{c['similarity'][worst]:.4f} (cell {cells[worst]}: CoC, motion {coordinate} px)"
     sparse = ~c["direct"]
-    trees = f"{c['quadtree'].mean():.4f}; sparse cells {c['quadtree'][sparse].mean():.4f}"
+    trees = f"{c['quadtree'].mean():.4f} (as stored {c['similarity'].mean():.4f}); cells stored sparse "
+    trees += f"{c['quadtree'][sparse].mean():.4f} ({c['similarity'][sparse].mean():.4f})"
+    whole = f"{c['window'].mean():.4f} (over the box and margin {c['similarity'].mean():.4f})"
     return [
+        *band_rows(c, cells),
+        Row("density 1: similarity over the whole 512 x 512 px window, as stored", ".97", "-", whole),
         Row("worst cell's similarity, CoC >= 4 px", "-", ">= .93", place),
         Row("quad-tree (Haar) of as many coefficients: mean similarity", ".89", "-", trees),
     ]
+
+
+def band_rows(c: dict[str, np.ndarray], cells: np.ndarray) -> list[Row]:
+    radius = np.array([grid_of().coordinate(cell)[0] for cell in cells])
+    rows = []
+    for low, high in zip(COC_BANDS[:-1], COC_BANDS[1:], strict=True):
+        band = (radius >= low) & (radius < high)
+        if band.any():
+            name = f"density 1: {band.sum()} cells of CoC {low:g} to {high:g} px, every cell sparsified; as stored"
+            rows.append(Row(name, "-", "-", f"{pair(*means(c, band, 'forced_'))}; {pair(*means(c, band))}"))
+    return rows
 
 
 def plot_corpus(kept: dict[float, dict[str, np.ndarray]], always: np.ndarray, folder: Path) -> None:
@@ -581,7 +604,9 @@ def tracing(effort: Effort, folder: Path) -> list[Row]:
 def built_cell(cell: int) -> tuple[float, list[tuple[float, float, bool]]]:
     """Build a cell as a database does; return its CPU time, and energy error and largest value of each direction."""
     began = time.process_time()
-    records = build_cell(CellTask(grid_of(), cell, 1.0, None, SEED))
+    grid = grid_of()
+    every = tuple(range(int(grid.direction_counts[cell])))
+    records = build_cell(CellTask(grid, cell, directions=every, density=1.0, rays=None, seed=SEED))
     seconds = time.process_time() - began
     return seconds, [
         (energy_error(r.spreadlet), float(r.statistics["max_value_ratio"]), r.spreadlet.direct) for r in records

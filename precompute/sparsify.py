@@ -55,7 +55,7 @@ DIRECT_COST = 0.5
 THIN_RADIUS = 3.5
 """PSFs that hold no larger disc, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
-DIRECT_THRESHOLDS = (1e-3, 1e-2, 3e-2, 6e-2, 0.1)
+DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
 

@@ -76,7 +76,7 @@ def cell_index(coordinate: FloatArray, shape: IntArray, level_offset: IntArray) 
 def grid_coordinate(value: float, remap: FloatArray, n_units: int) -> float:
     """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
 
-    ``remap`` holds the axis's maximum, its power, and its floor on the remapped axis: see `spreadlets.psf_model.PsfGrid`.
+    ``remap`` holds the axis's maximum, its power, and its floor on the remapped axis: `psf_model.PsfGrid.remap`.
     """
     fraction = min(value / remap[0], 1.0)
     if not fraction > 0.0:

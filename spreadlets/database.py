@@ -204,8 +204,8 @@ class Database:
         if len(absent):
             cell, direction = cells[int(absent[0])]
             raise InvalidDatabaseError(
-                f"{self.path}: direction {direction} of cell {cell} and {len(absent) - 1} more that are needed were left "
-                "out of this database, which was built for certain frames only"
+                f"{self.path}: direction {direction} of cell {cell} and {len(absent) - 1} more that are needed were "
+                "left out of this database, which was built for certain frames only"
             )
         found: dict[int, Spreadlet] = {}
         for first, last in self._stretches(np.unique(index)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
@@ -60,8 +61,8 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
 
     Notes
     -----
-    LKS Fig. 10 b and c. The histograms count each cell once, by its first direction, as `Database.summary` does; the
-    scatter shows all directions, and a cell is as bad as its worst direction.
+    LKS Fig. 10 b and c, over all spreadlets that are stored, as in `Database.summary`. A cell is as bad as its worst
+    direction.
     """
     from matplotlib.figure import Figure
 
@@ -78,18 +79,16 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
 
 def _draw_statistics(database: Database, figure: SubFigure) -> None:
     """Draw both histograms and the scatter, sparse and direct spreadlets apart."""
-    figures = database.statistics()
-    first = database.cell_start[:-1]
-    kinds = {"sparse": ~database.direct, "direct": database.direct}
+    figures, stored = database.statistics(), _stored(database)
+    kinds = {"sparse": stored & ~database.direct, "direct": stored & database.direct}
     left, middle, right = figure.subplots(1, 3)
-    for axes, name in ((left, "sparsity"), (middle, "similarity")):
-        column = figures["ssim" if name == "similarity" else name]
-        groups = [column[first][kind[first]] for kind in kinds.values()]
+    for axes, name, label in ((left, "sparsity", "sparsity"), (middle, "ssim", "similarity")):
+        groups = [figures[name][kind] for kind in kinds.values()]
         axes.hist(groups, bins=N_BINS, stacked=True, label=list(kinds))
-        axes.set(xlabel=name, ylabel="cells", title=f"mean {name} {column[first].mean():.4f}")
+        axes.set(xlabel=label, ylabel="spreadlets", title=f"mean {label} {figures[name][stored].mean():.4f}")
     for name, kind in kinds.items():
         right.plot(figures["sparsity"][kind], figures["ssim"][kind], ".", markersize=3, label=name)
-    right.set(xlabel="sparsity", ylabel="similarity", title=f"all {database.n_spreadlets} directions of all cells")
+    right.set(xlabel="sparsity", ylabel="similarity", title=f"{np.count_nonzero(stored)} spreadlets")
     for axes in (left, middle, right):
         axes.legend()
     figure.suptitle(f"{database.path.name}: {database.grid.model.name}, {database.n_cells} cells")
@@ -115,12 +114,17 @@ def _draw_worst(database: Database, figure: SubFigure, dense_psf: DensePsf) -> N
 
 def _worst_cells(database: Database) -> list[_Spot]:
     """Find the cells of the lowest similarity, each with its worst direction, worst first."""
-    similarity, start = database.statistics()["ssim"], database.cell_start
+    similarity = np.where(_stored(database), database.statistics()["ssim"], np.inf)
     spots = []
-    for cell in range(database.n_cells):
-        some = similarity[start[cell] : start[cell + 1]]
+    for cell, (begin, end) in enumerate(itertools.pairwise(database.cell_start)):
+        some = similarity[begin:end]
         spots.append(_Spot(cell, int(np.argmin(some)), float(some.min())))
-    return sorted(spots, key=lambda spot: spot.similarity)[:N_WORST]
+    return sorted((spot for spot in spots if spot.similarity < np.inf), key=lambda spot: spot.similarity)[:N_WORST]
+
+
+def _stored(database: Database) -> npt.NDArray[np.bool_]:
+    """Tell which spreadlets are stored: a database for certain frames leaves most of them out."""
+    return np.asarray(np.diff(database.point_start) > 0)
 
 
 def _pair(database: Database, spot: _Spot, psf: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,8 +24,8 @@ STILL_MOTION_PX = 1.0
 """A path no longer than a pixel, px, looks the same in every direction."""
 
 COC_FLOOR_PX = 1.0
-"""PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as 800
-without: half of them would go to radii that no pixel shows."""
+"""PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
+800 without: half of them would go to radii that no pixel shows."""
 
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""

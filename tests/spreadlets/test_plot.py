@@ -7,6 +7,7 @@ from skimage.io import imread
 
 from spreadlets import cli, plot
 from spreadlets.api import plot_database
+from spreadlets.database import CellRecord, absent_record, open_database, write_database
 from spreadlets.errors import InvalidParameterError
 
 ROWS_OF_IMAGES = 3
@@ -45,12 +46,29 @@ def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, dr
     assert [path.name for path in tmp_path.iterdir()] == ["quality.png"]
 
 
-def test_the_histograms_count_every_cell_and_the_scatter_every_direction(small_combined, tmp_path, drawn):
+def counts(figure):
+    """How many spreadlets each of the statistics' panels shows."""
+    sparsity, similarity, scatter = figure.get_axes()[:STATISTICS_PANELS]
+    bars = [sum(bar.get_height() for bar in axes.patches) for axes in (sparsity, similarity)]
+    return [*bars, sum(len(line.get_xdata()) for line in scatter.lines)]
+
+
+def test_histograms_and_scatter_show_every_spreadlet(small_combined, tmp_path, drawn):
     plot_database(small_combined, tmp_path / "quality.png")
-    sparsity, similarity, scatter = drawn[0].get_axes()[:STATISTICS_PANELS]
-    for axes in (sparsity, similarity):
-        assert sum(bar.get_height() for bar in axes.patches) == small_combined.n_cells
-    assert sum(len(line.get_xdata()) for line in scatter.lines) == small_combined.n_spreadlets
+    assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
+
+
+def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn):
+    grid, statistics = small_combined.grid, small_combined.statistics()
+    cells = [[absent_record(grid, cell, n) for n in range(grid.direction_counts[cell])] for cell in range(grid.n_cells)]
+    for cell in (5, 20):
+        figures = {name: column[small_combined.cell_start[cell] + 1] for name, column in statistics.items()}
+        cells[cell][1] = CellRecord(cells[cell][1].direction, small_combined.cell(cell, 1), figures)
+    write_database(tmp_path / "few.h5", grid, cells, {})
+    with open_database(tmp_path / "few.h5") as few:
+        plot_database(few, tmp_path / "quality.png")
+    assert counts(drawn[0]) == [2] * STATISTICS_PANELS
+    assert len(images(drawn[0], 0)) == 2
 
 
 def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_path, drawn):
