@@ -23,7 +23,9 @@ from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame, Layer
 
-DEFAULT_INTEGRATOR = "exact"
+DEFAULT_INTEGRATOR = "multigrid"
+DEFAULT_CYCLES = 1
+"""One cycle leaves about 1e-4 of the image, which no display shows, in a third of the exact solver's time."""
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 SOLVER_MARGIN = 8
@@ -80,6 +82,7 @@ def synthesize(
     defocus: bool = True,
     motion: bool = True,
     integrator: str = DEFAULT_INTEGRATOR,
+    cycles: int = DEFAULT_CYCLES,
     tolerance: float = DEFAULT_TOLERANCE,
     dense_psf: DensePsf | None = None,
     filtering: bool = False,
@@ -99,6 +102,8 @@ def synthesize(
         Whether to apply each effect.
     integrator : str
         Poisson solver, see `runtime.convolution_pyramid.integrate`.
+    cycles : int
+        Cycles of the integrator ``multigrid``; the others take no notice.
     tolerance : float
         Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
     dense_psf : callable or None
@@ -134,7 +139,7 @@ def synthesize(
             with clock.step("splat"):
                 image = gather(plan.passes[0], plan.table)
         else:
-            image = _render_layer(layer, plan, integrator, clock)
+            image = _render_layer(layer, plan, (integrator, cycles), clock)
         with clock.step("composite"):
             composite = image if composite is None else over(composite, image)
         plans.append(plan)
@@ -142,7 +147,7 @@ def synthesize(
     return composite, _report(plans, database, clock)
 
 
-def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Image:
+def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Clock) -> Image:
     """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight."""
     height, width = layer.depth.shape
     padding = plan.padding + SOLVER_MARGIN
@@ -151,7 +156,7 @@ def _render_layer(layer: Layer, plan: Plan, integrator: str, clock: Clock) -> Im
         with clock.step("splat"):
             _splat_laplacian(padded, plan, padding)
         with clock.step("integrate"):
-            padded = integrate(padded, integrator)
+            padded = integrate(padded, solver[0], cycles=solver[1])
     if plan.table.direct.any():
         with clock.step("splat"):
             for source in plan.passes:

@@ -31,6 +31,7 @@ def synthesize(
     report: Literal[False] = ...,
     method: str = ...,
     integrator: str | None = ...,
+    cycles: int | None = ...,
     tolerance: float | None = ...,
     defocus: bool = ...,
     motion: bool = ...,
@@ -47,6 +48,7 @@ def synthesize(
     report: Literal[True],
     method: str = ...,
     integrator: str | None = ...,
+    cycles: int | None = ...,
     tolerance: float | None = ...,
     defocus: bool = ...,
     motion: bool = ...,
@@ -61,6 +63,7 @@ def synthesize(
     *,
     method: str = "spreadlets",
     integrator: str | None = None,
+    cycles: int | None = None,
     tolerance: float | None = None,
     defocus: bool = True,
     motion: bool = True,
@@ -83,6 +86,8 @@ def synthesize(
         receiving pixel.
     integrator : str, optional
         Poisson solver; by default the one that `runtime.render.DEFAULT_INTEGRATOR` names.
+    cycles : int, optional
+        Cycles of the integrator ``multigrid``: each takes the error down further.
     tolerance : float, optional
         Error of the displayed image, as a share of its range, that may be traded for speed by drawing blocks of like
         pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display. The other
@@ -124,6 +129,7 @@ def synthesize(
             defocus=defocus,
             motion=motion,
             integrator=integrator or render.DEFAULT_INTEGRATOR,
+            cycles=render.DEFAULT_CYCLES if cycles is None else cycles,
             tolerance=render.DEFAULT_TOLERANCE if tolerance is None else tolerance,
             dense_psf=None if method == "spreadlets" else _dense_psf(opened),
             filtering=method == "gather",

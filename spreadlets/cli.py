@@ -104,7 +104,8 @@ def info(database: str, plot: str | None, as_json: bool) -> None:
     show_default=True,
     help="spreadlets, dense (PSFs drawn in full) or gather (filtering).",
 )
-@click.option("--integrator", help="Poisson solver: exact, pyramid-f5 or pyramid-f7.")
+@click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
+@click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
 @click.option("--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
@@ -125,6 +126,7 @@ def synth(
     database: str | None,
     method: str,
     integrator: str | None,
+    cycles: int | None,
     tolerance: float | None,
     reference: str | None,
     motion_channels: str | None,
@@ -154,6 +156,7 @@ def synth(
         database,
         method=method,
         integrator=integrator,
+        cycles=cycles,
         tolerance=tolerance,
         defocus=not no_defocus,
         motion=not no_motion,

@@ -24,14 +24,15 @@ DensePsf = Callable[[int, int, float], FloatArray]
 """Traces a PSF again: (cell, direction, scale) to (H, W, C), as `runtime.render.synthesize` takes it."""
 
 N_WORST = 10
-"""Cells that are shown as images."""
+N_COLUMNS = 5
+"""Cells that are shown as images, in all and side by side."""
 
 MARGIN_PX = 8
 """Pixels shown around a PSF: where the similarity is measured, errors outside the support count."""
 
 N_BINS = 40
-FIGURE_INCHES = (16.0, 9.0)
-DPI = 100
+FIGURE_INCHES = (15.0, 13.0)
+DPI = 90
 
 
 class _Spot(NamedTuple):
@@ -69,7 +70,7 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
     try:
         with atomic_path(path, ".png") as temporary:
             figure = Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained")
-            above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 3)).ravel()
+            above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 5)).ravel()
             _draw_statistics(database, above)
             _draw_worst(database, below, dense_psf)
             figure.savefig(temporary)
@@ -95,21 +96,22 @@ def _draw_statistics(database: Database, figure: SubFigure) -> None:
 
 
 def _draw_worst(database: Database, figure: SubFigure, dense_psf: DensePsf) -> None:
-    """Draw the PSF, what its spreadlet stands for, and their difference, one column for each of the worst cells."""
+    """Draw the PSF, what its spreadlet stands for, and their difference of each of the worst cells."""
     spots = _worst_cells(database)
-    grid = figure.subplots(3, len(spots), squeeze=False)
-    for spot, column in zip(spots, grid.T, strict=True):
+    n_columns = min(N_COLUMNS, len(spots))
+    blocks = figure.subfigures(-(-len(spots) // n_columns), n_columns, squeeze=False).ravel()
+    for spot, block in zip(spots, blocks, strict=False):
         psf, reconstruction = _pair(database, spot, dense_psf(spot.cell, spot.direction, 1.0))
         difference = reconstruction - psf
         limit = float(np.abs(difference).max()) or 1.0
-        _show(column[0], psf, "gray", (0.0, 1.0))
-        _show(column[1], reconstruction, "gray", (0.0, 1.0))
-        _show(column[2], difference, "RdBu", (-limit, limit))
-        column[0].set_title(_title(database, spot), fontsize="small")
-        column[2].set_xlabel(f"within ±{limit:.2g}", fontsize="small")
-    for axes, name in zip(grid[:, 0], ("PSF", "spreadlet", "difference"), strict=True):
-        axes.set_ylabel(name)
-    figure.suptitle(f"The {len(spots)} worst cells; values are relative to the peak")
+        first, second, third = block.subplots(3, 1)
+        _show(first, psf, "gray", (0.0, 1.0), "PSF")
+        _show(second, reconstruction, "gray", (0.0, 1.0), "spreadlet")
+        _show(third, difference, "RdBu", (-limit, limit), f"±{limit:.2g}")
+        first.set_title(_title(database, spot), fontsize="small")
+    figure.suptitle(
+        f"The {len(spots)} worst cells: PSF, what the spreadlet stands for, and the difference, relative to the peak"
+    )
 
 
 def _worst_cells(database: Database) -> list[_Spot]:
@@ -145,17 +147,17 @@ def _centred(image: FloatArray, half: npt.NDArray[np.int64]) -> FloatArray:
     return padded[row : row + 2 * half[0] + 1, col : col + 2 * half[1] + 1]
 
 
-def _show(axes: Axes, image: FloatArray, colours: str, limits: tuple[float, float]) -> None:
+def _show(axes: Axes, image: FloatArray, colours: str, limits: tuple[float, float], label: str) -> None:
     axes.imshow(image, cmap=colours, vmin=limits[0], vmax=limits[1], interpolation="nearest")
     axes.set(xticks=[], yticks=[])
+    axes.set_ylabel(label, fontsize="small", rotation="horizontal", horizontalalignment="right")
 
 
 def _title(database: Database, spot: _Spot) -> str:
     model = database.grid.model
-    direct = " direct" if database.direct[database.cell_start[spot.cell] + spot.direction] else ""
+    direct = ", direct" if database.direct[database.cell_start[spot.cell] + spot.direction] else ""
     place = zip(model.axes, database.coordinate(spot.cell), strict=True)
-    lines = [f"{spot.similarity:.4f}", f"cell {spot.cell}{direct}"]
-    lines += [f"{axis.name} {x:.3g} {axis.unit}" for axis, x in place]
+    facts = [f"{axis.name} {x:.3g} {axis.unit}" for axis, x in place]
     if model.has_direction:
-        lines.append(f"{math.degrees(database.directions(spot.cell)[spot.direction]):.0f}°")
-    return "\n".join(lines)
+        facts.append(f"{math.degrees(database.directions(spot.cell)[spot.direction]):.0f}°")
+    return f"{spot.similarity:.4f}, cell {spot.cell}{direct}\n{', '.join(facts)}"

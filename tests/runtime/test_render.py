@@ -155,6 +155,16 @@ def test_sparse_and_dense_agree(small_combined):
     assert sparse.mean() == pytest.approx(dense.mean(), rel=1e-3)
 
 
+def test_more_cycles_come_closer_to_the_exact_solution(small_combined):
+    frame = spot_frame(32, 32, 9.0, (10.0, 6.0))
+    exact, _ = synthesize(frame, CAMERA, small_combined, integrator="exact")
+    error = []
+    for cycles in (0, 1, 2):
+        image, _ = synthesize(frame, CAMERA, small_combined, integrator="multigrid", cycles=cycles)
+        error.append(np.abs(image - exact).max() / exact[..., :3].max())
+    assert error[0] > 3 * error[1] > 3 * error[2] and error[1] < 1e-3
+
+
 def test_gathering_equals_splatting_where_labels_are_alike(small_combined):
     frame = spot_frame(32, 32, 9.0, (10.0, 6.0))
     dense = synthesize_any(frame, CAMERA, small_combined, method="dense")

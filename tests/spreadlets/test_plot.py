@@ -30,9 +30,8 @@ def drawn(monkeypatch):
 
 
 def images(figure, row):
-    """The arrays shown in one of the rows: 0 the PSFs, 1 what the spreadlets stand for, 2 the differences."""
-    shown = [axes.images[0].get_array() for axes in figure.get_axes() if axes.images]
-    return shown[row * len(shown) // ROWS_OF_IMAGES : (row + 1) * len(shown) // ROWS_OF_IMAGES]
+    """The arrays shown of all cells: 0 the PSFs, 1 what the spreadlets stand for, 2 the differences."""
+    return [axes.images[0].get_array() for axes in figure.get_axes() if axes.images][row::ROWS_OF_IMAGES]
 
 
 def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, drawn):
@@ -74,7 +73,7 @@ def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn
 def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_path, drawn):
     plot_database(small_combined, tmp_path / "quality.png")
     titles = [axes.get_title() for axes in drawn[0].get_axes() if axes.images and axes.get_title()]
-    shown = [float(title.split("\n")[0]) for title in titles]
+    shown = [float(title.split(",")[0]) for title in titles]
     similarity = small_combined.statistics()["ssim"]
     worst = np.minimum.reduceat(similarity, small_combined.cell_start[:-1])
     np.testing.assert_allclose(shown, np.sort(worst)[: plot.N_WORST], atol=1e-4)
