@@ -42,8 +42,10 @@ Rows = NDArray[np.float32]
 METHODS = ("exact", "pyramid", "multigrid", "pyramid-f5", "pyramid-f7")
 """Names of the integrators."""
 
-DEFAULT_METHOD = "pyramid"
-DEFAULT_CYCLES = 2
+DEFAULT_METHOD = "multigrid"
+DEFAULT_CYCLES = 1
+"""One cycle leaves about 1e-4 of the image, which no display shows. The pyramid alone costs up to .0005 SSIM on frames
+with strong highlights; a second cycle changes nothing that can be seen."""
 
 COARSEST_SIDE = 32
 """Levels end before the shorter side gets below this, and the coarsest is solved exactly in under 1 % of the time. A

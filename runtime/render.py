@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from runtime._kernels import add_spread
 from runtime.composite import over, reweight
-from runtime.convolution_pyramid import METHODS, integrate
+from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
 from runtime.plan import Plan, label_pixels, plan_layer
 from runtime.splat import gather, splat
 from runtime.variant import DensePsf
@@ -23,9 +23,6 @@ from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame, Layer
 
-DEFAULT_INTEGRATOR = "multigrid"
-DEFAULT_CYCLES = 1
-"""One cycle leaves about 1e-4 of the image, which no display shows, in a third of the exact solver's time."""
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 SOLVER_MARGIN = 8
@@ -81,7 +78,7 @@ def synthesize(
     *,
     defocus: bool = True,
     motion: bool = True,
-    integrator: str = DEFAULT_INTEGRATOR,
+    integrator: str = DEFAULT_METHOD,
     cycles: int = DEFAULT_CYCLES,
     tolerance: float = DEFAULT_TOLERANCE,
     dense_psf: DensePsf | None = None,

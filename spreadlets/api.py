@@ -85,7 +85,7 @@ def synthesize(
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling); or filtering with the PSF of the
         receiving pixel.
     integrator : str, optional
-        Poisson solver; by default the one that `runtime.render.DEFAULT_INTEGRATOR` names.
+        Poisson solver: ``multigrid`` (default), ``pyramid``, ``exact``, ``pyramid-f5`` or ``pyramid-f7``.
     cycles : int, optional
         Cycles of the integrator ``multigrid``: each takes the error down further.
     tolerance : float, optional
@@ -113,7 +113,7 @@ def synthesize(
     InvalidDatabaseError
         If the database cannot be used.
     """
-    from runtime import render
+    from runtime import convolution_pyramid, render
 
     if method not in METHODS:
         raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(METHODS)}")
@@ -128,8 +128,8 @@ def synthesize(
             opened,
             defocus=defocus,
             motion=motion,
-            integrator=integrator or render.DEFAULT_INTEGRATOR,
-            cycles=render.DEFAULT_CYCLES if cycles is None else cycles,
+            integrator=integrator or convolution_pyramid.DEFAULT_METHOD,
+            cycles=convolution_pyramid.DEFAULT_CYCLES if cycles is None else cycles,
             tolerance=render.DEFAULT_TOLERANCE if tolerance is None else tolerance,
             dense_psf=None if method == "spreadlets" else _dense_psf(opened),
             filtering=method == "gather",
