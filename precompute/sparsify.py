@@ -52,7 +52,7 @@ ROUNDING = 1e-9
 DIRECT_COST = 0.5
 """Price of a pixel that is drawn directly, relative to a point of the Laplacian: neighbours are drawn in one run."""
 
-THIN_RADIUS = 3.5
+THIN_RADIUS = 4.5
 """PSFs that hold no larger disc, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
 DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
