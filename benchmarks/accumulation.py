@@ -3,7 +3,7 @@
     python benchmarks/accumulation.py
 
 Splats one spreadlet of the shipped database from each pixel of frames of 1024 x 1024, some 10^8 adds, once from noise
-and once from noise with highlights of 10^6. The same sum is a convolution of the frame with the points, done in float64;
+and once from noise with highlights of 10^6. The same sum is a convolution of the frame with the points, in float64;
 both are integrated exactly in float64. Writes accumulation.txt to benchmarks/results.
 """
 
