@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
-"""Columns of the table of runs: first pixel in the flattened source; target row, column; length; variant."""
+"""Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""
 
 LONG_RUN = 16
 """Pixels from which a run is drawn along itself rather than along the rows of a direct PSF."""
@@ -17,72 +17,116 @@ _U = np.uint64
 
 
 @numba.njit(cache=True, fastmath=False)
-def _run_end(variant, shift, row, col):
-    """Return the column behind the run that starts at (row, col): same variant and, if there are shifts, same shift."""
-    width = variant.shape[1]
+def _run_end(label, shift, row, col):
+    """Return the column behind the run that starts at (row, col): same label and, if there are shifts, same shift."""
+    width = label.shape[1]
     end = col + 1
-    while end < width and variant[row, end] == variant[row, col]:
+    while end < width and label[row, end] == label[row, col]:
         if shift.shape[0] and (shift[row, end, 0] != shift[row, col, 0] or shift[row, end, 1] != shift[row, col, 1]):
             break
         end += 1
     return end
 
 
-@numba.njit(cache=True, fastmath=False)
-def find_runs(variant, shift, wanted):
-    """List the runs of neighbouring pixels in a row that share a variant and a shift.
-
-    Serial, as it takes a few milliseconds for a million pixels, and most passes are narrow strips.
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_runs(label, shift, group, count):
+    """Count the runs of neighbouring pixels in a row that share a label and a shift.
 
     Parameters
     ----------
-    variant : ndarray of shape (H, W), int32
-        Index of the PSF variant of each pixel; negative where the pixel is not drawn.
+    label : ndarray of shape (H, W), int32
+        Label of each pixel; negative where nothing is drawn.
     shift : ndarray of shape (H, W, 2), int32, or (0, 0, 2)
         Displacement (row, col) of each pixel's splat centre, px; empty if there is none.
-    wanted : ndarray of shape (n_variants,), bool
-        The variants to list; runs of others are passed over.
-
-    Returns
-    -------
-    ndarray of shape (n_runs, 5), int32
-        In raster order, see `RUN_SOURCE`.
+    group : ndarray of shape (n_labels,), int64
+        The group that runs of each label go to.
+    count : ndarray of shape (n_groups, H), int64
+        Filled with the runs of each group in each row.
     """
-    height, width = variant.shape
-    runs = np.empty((1024, 5), np.int32)
-    count = 0
-    for row in range(height):
+    height, width = label.shape
+    for row in numba.prange(height):
+        count[:, row] = 0
         col = 0
         while col < width:
-            end = _run_end(variant, shift, row, col)
-            if variant[row, col] >= 0 and wanted[variant[row, col]]:
-                if count == len(runs):
-                    longer = np.empty((2 * count, 5), np.int32)
-                    longer[:count] = runs
-                    runs = longer
-                runs[count, 0] = row * width + col
-                runs[count, 1] = row
-                runs[count, 2] = col
-                if shift.shape[0]:
-                    runs[count, 1] += shift[row, col, 0]
-                    runs[count, 2] += shift[row, col, 1]
-                runs[count, 3] = end - col
-                runs[count, 4] = variant[row, col]
-                count += 1
+            end = _run_end(label, shift, row, col)
+            if label[row, col] >= 0:
+                count[group[label[row, col]], row] += 1
             col = end
-    return runs[:count].copy()
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def list_runs(label, shift, group, start, place, n_variants, runs):
+    """List the runs of `count_runs`, those of a group together, in raster order.
+
+    Parameters
+    ----------
+    label, shift, group
+        As for `count_runs`.
+    start : ndarray of shape (n_groups, H), int64
+        Where the runs of each group in each row begin in the list.
+    place : tuple of four ints
+        Place of the pixels in the flattened source; row and column of the first in the frame; their distance, px.
+    n_variants : int
+        A label is ``layer * n_variants + variant``.
+    runs : ndarray of shape (n_runs, 5), int32
+        Filled; see `RUN_SOURCE`.
+    """
+    source, first_row, first_col, stride = place
+    height, width = label.shape
+    for row in numba.prange(height):
+        at = start[:, row].copy()
+        col = 0
+        while col < width:
+            end = _run_end(label, shift, row, col)
+            if label[row, col] >= 0:
+                i = at[group[label[row, col]]]
+                at[group[label[row, col]]] += 1
+                runs[i, 0] = source + row * width + col
+                runs[i, 1] = first_row + stride * row
+                runs[i, 2] = first_col + stride * col
+                if shift.shape[0]:
+                    runs[i, 1] += shift[row, col, 0]
+                    runs[i, 2] += shift[row, col, 1]
+                runs[i, 3] = end - col
+                runs[i, 4] = label[row, col] % n_variants
+            col = end
 
 
 @numba.njit(cache=True, fastmath=False)
-def _first_point(row, begin, end, wanted):
-    """Return the first point of [begin, end) whose row is at least ``wanted``; the rows are sorted."""
-    while begin < end:
-        middle = (begin + end) // 2
-        if row[middle] < wanted:
-            begin = middle + 1
-        else:
-            end = middle
-    return begin
+def run_bounds(runs, reach, stride):
+    """Return the first row and column that the splats of runs may touch, and those behind the last."""
+    top, left, bottom, right = 1 << 30, 1 << 30, -(1 << 30), -(1 << 30)
+    for i in range(runs.shape[0]):
+        far = reach[runs[i, 4]]
+        top = min(top, runs[i, 1] - far)
+        bottom = max(bottom, runs[i, 1] + stride + far)
+        left = min(left, runs[i, 2] - far)
+        right = max(right, runs[i, 2] + stride * runs[i, 3] + far)
+    return top, left, bottom, right
+
+
+@numba.njit(cache=True, fastmath=False)
+def rows_of_points(offset_rc, point_start, reach, base, first):
+    """List, for each variant, where the points of each row begin.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+        Rows ascending within a variant.
+    point_start : ndarray of shape (n_variants + 1,), int64
+    reach : ndarray of shape (n_variants,), int64
+        No row of the variant lies farther from 0 than this.
+    base : ndarray of shape (n_variants + 1,), int64
+        Cumulative sum of ``2 reach + 2``.
+    first : ndarray of shape (base[-1],), int64
+        Filled: the points of variant v from row r on begin at ``first[base[v] + r + reach[v]]``.
+    """
+    for variant in range(len(reach)):
+        p = point_start[variant]
+        for k in range(2 * reach[variant] + 2):
+            while p < point_start[variant + 1] and offset_rc[p, 0] < k - reach[variant]:
+                p += 1
+            first[base[variant] + k] = p
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -111,90 +155,159 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
 
 
 @numba.njit(cache=True, fastmath=False)
-def _draw_coloured_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end):
-    """Do as `_draw_spaced_run` with a value for each of R, G and B; alpha takes their mean."""
+def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
+    """Do as `_draw_run` with a value for each of R, G and B; alpha takes their mean."""
     for p in range(begin, end):
         o = _U(target + point_offset[p])
         r, g, b = value[p, 0], value[p, 1], value[p, 2]
         a = (r + g + b) * np.float32(1.0 / 3.0)
-        for k in range(source, source + n, _U(4)):
-            image[o] += r * radiance[k]
-            image[o + _U(1)] += g * radiance[k + _U(1)]
-            image[o + _U(2)] += b * radiance[k + _U(2)]
-            image[o + _U(3)] += a * radiance[k + _U(3)]
-            o += spacing
+        for k in range(_U(0), n, _U(4)):
+            image[o + k] += r * radiance[source + k]
+            image[o + k + _U(1)] += g * radiance[source + k + _U(1)]
+            image[o + k + _U(2)] += b * radiance[source + k + _U(2)]
+            image[o + k + _U(3)] += a * radiance[source + k + _U(3)]
 
 
 @numba.njit(cache=True, fastmath=False)
-def _draw_spaced_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end):
-    """Do as `_draw_run` with pixels ``spacing`` floats apart in the image."""
-    for p in range(begin, end):
-        o = _U(target + point_offset[p])
-        weight = value[p, 0]
-        for k in range(source, source + n, _U(4)):
-            r, g, b, a = image[o], image[o + _U(1)], image[o + _U(2)], image[o + _U(3)]
-            image[o] = r + weight * radiance[k]
-            image[o + _U(1)] = g + weight * radiance[k + _U(1)]
-            image[o + _U(2)] = b + weight * radiance[k + _U(2)]
-            image[o + _U(3)] = a + weight * radiance[k + _U(3)]
-            o += spacing
+def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
+    """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
+    radiance, runs, row_start = level
+    _, first, base, reach = points
+    top, left, pitch, farthest = canvas
+    rows = row_start.shape[0] - 1
+    first_run = row_start[min(max(first_row - farthest, 0), rows)]
+    last_run = row_start[min(max(first_row + n_rows + farthest, 0), rows)]
+    for i in range(first_run, last_run):
+        variant = runs[i, 4]
+        row = runs[i, 1] - top - first_row
+        last = 2 * reach[variant] + 1
+        begin = first[base[variant] + min(max(reach[variant] - row, 0), last)]
+        end = first[base[variant] + min(max(reach[variant] + n_rows - row, 0), last)]
+        if begin == end:
+            continue
+        source = _U(4) * _U(runs[i, 0])
+        # The column of a canvas's first pixel fits the stride, see `splat_levels`.
+        at = np.int64(row) * pitch + 4 * ((runs[i, 2] - left) // stride)
+        n = _U(4) * _U(runs[i, 3])
+        if value.shape[1] == 3:
+            _draw_coloured_run(target, radiance, source, at, n, point_offset, value, begin, end)
+        elif n == _U(4):
+            _draw_pixel(target, radiance, source, at, point_offset, value, begin, end)
+        else:
+            _draw_run(target, radiance, source, at, n, point_offset, value, begin, end)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _spread(target, source, n_rows, stride, pitch):
+    """Add to each pixel of the target those of the source that lie 0 and ``stride / 2`` above and to the left.
+
+    The source's first row lies ``stride / 2`` above the target's. An image of stride s keeps the columns c of equal
+    ``c % s`` together: such a row is s stretches, in each of which the pixels of blocks are neighbours.
+    """
+    half = stride // 2
+    n = _U(4 * (pitch // (4 * stride)))
+    for row in range(n_rows):
+        above = _U(row * pitch)
+        here = _U((row + half) * pitch)
+        out = _U(row * pitch)
+        for phase in range(stride):
+            # Column s i + phase lies at i of its stretch; in the target at 2 i + phase // half of stretch phase % half.
+            own = _U(phase) * n
+            beside = _U((phase + half) % stride) * n
+            back = _U(0) if phase >= half else _U(4)
+            o = out + _U(phase % half) * (n + n) + _U(4 * (phase // half))
+            if back:
+                for c in range(_U(4)):
+                    target[o + c] += source[here + own + c] + source[above + own + c]
+            for k in range(back, n, _U(4)):
+                i, j = own + k, beside + k - back
+                # All loads come before the first store, so that the four become one vector.
+                r = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
+                i, j = i + _U(1), j + _U(1)
+                g = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
+                i, j = i + _U(1), j + _U(1)
+                b = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
+                i, j = i + _U(1), j + _U(1)
+                a = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
+                t = o + k + k
+                i, j = t + _U(1), t + _U(2)
+                r0, g0, b0, a0 = target[t], target[i], target[j], target[t + _U(3)]
+                target[t] = r0 + r
+                target[i] = g0 + g
+                target[j] = b0 + b
+                target[t + _U(3)] = a0 + a
 
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_runs(image, radiance, runs, row_start, points, value, point_start, geometry, band_rows):
+def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows, fresh):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
-    Bands of rows are independent (each is written by one thread only, in the order of the runs), so the result
-    is the same for any number of threads.
+    Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
+    the same is done again, and single pixels are added last. All of it happens in bands of rows that stay in a core's
+    cache. Bands are independent (each row is summed in the order of the runs), so the result is the same for any number
+    of threads.
 
     Parameters
     ----------
-    image : ndarray of shape (rows * cols * 4,), float32
-        Accumulated in place.
-    radiance : ndarray of shape (H * W * 4,), float32
-        Colour of the source pixels.
-    runs : ndarray of shape (n_runs, 5), int32
-        The runs, sorted by target row; targets are in the coordinates of ``image``.
-    row_start : ndarray of shape (rows + 1,), int64
-        The runs that target row i are ``row_start[i]`` to ``row_start[i + 1]``.
-    points : tuple of two ndarrays of shape (n_points,), int32 and int64
-        Row offset of each point, ascending within a variant, and its offset in floats of the flattened image.
+    image : ndarray of shape (rows, cols * 4), float32
+        Where to draw; cols is a multiple of 4.
+    levels : tuple of three (radiance, runs, row_start)
+        For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
+        (rows + 1,), int64, where the runs of each row of the image begin.
+    offsets : tuple of three ndarrays of shape (n_points,), int64
+        Offset of each point in floats of a flattened image of strides 1, 2 and 4, see `_spread`.
+    points : tuple of four ndarrays
+        ``point_start``; and ``first``, ``base``, ``reach`` of `rows_of_points`.
     value : ndarray of shape (n_points, C), float32
         C is 1, or 3 (then alpha takes the mean of the three).
-    point_start : ndarray of shape (n_variants + 1,), int64
-        The points of each variant.
-    geometry : tuple of two ints
-        Width of the image, px; distance at which the pixels of a run are drawn, px.
+    canvas : tuple of four ints
+        Row and column, in the frame, of the image's first pixel (the column fits all strides: it differs from those of
+        blocks by multiples of 4); ``4 * cols``; the largest reach.
+    scratch : ndarray of shape (threads, 2, band_rows + 3, cols * 4), float32
     band_rows : int
         Height of a band.
+    fresh : bool
+        Whether to overwrite the image rather than to add to it.
     """
-    point_row, point_offset = points
-    cols, stride = geometry
-    rows = row_start.shape[0] - 1
-    reach = 0
-    for p in range(point_row.shape[0]):
-        reach = max(reach, abs(point_row[p]))
+    rows, pitch = image.shape
+    # Tuples of unlike arrays cannot enter a parallel loop whole.
+    (colour_1, runs_1, start_1), (colour_2, runs_2, start_2), (colour_4, runs_4, start_4) = levels
+    offset_1, offset_2, offset_4 = offsets
+    point_start, first, base, reach = points
+    top, left, _, farthest = canvas
+    merged = len(runs_2) + len(runs_4) > 0
     for band in numba.prange((rows + band_rows - 1) // band_rows):
-        begin_row = band * band_rows
-        end_row = min(begin_row + band_rows, rows)
-        for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
-            row, variant = runs[i, 1], runs[i, 4]
-            begin = _first_point(point_row, point_start[variant], point_start[variant + 1], begin_row - row)
-            end = _first_point(point_row, begin, point_start[variant + 1], end_row - row)
-            source = _U(4) * _U(runs[i, 0])
-            target = 4 * (np.int64(row) * cols + runs[i, 2])
-            n = _U(4) * _U(runs[i, 3])
-            if value.shape[1] == 3:
-                spacing = _U(4 * stride)
-                _draw_coloured_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end)
-            elif stride > 1:
-                spacing = _U(4 * stride)
-                _draw_spaced_run(image, radiance, source, target, n, spacing, point_offset, value, begin, end)
-            elif n == _U(4):
-                _draw_pixel(image, radiance, source, target, point_offset, value, begin, end)
-            else:
-                _draw_run(image, radiance, source, target, n, point_offset, value, begin, end)
+        begin = band * band_rows
+        n_rows = min(band_rows, rows - begin)
+        table = point_start, first, base, reach
+        place = top, left, pitch, farthest
+        target = image[begin : begin + n_rows].reshape(n_rows * pitch)
+        if fresh:
+            target[:] = np.float32(0.0)
+        if merged:
+            own = numba.get_thread_id()
+            fours = scratch[own, 0].reshape(scratch.shape[2] * pitch)
+            twos = scratch[own, 1].reshape(scratch.shape[2] * pitch)
+            fours[: (n_rows + 3) * pitch] = np.float32(0.0)
+            twos[: (n_rows + 1) * pitch] = np.float32(0.0)
+            _draw_rows(fours, begin - 3, n_rows + 3, (colour_4, runs_4, start_4), 4, offset_4, table, value, place)
+            _spread(twos, fours, n_rows + 1, 4, pitch)
+            _draw_rows(twos, begin - 1, n_rows + 1, (colour_2, runs_2, start_2), 2, offset_2, table, value, place)
+            _spread(target, twos, n_rows, 2, pitch)
+        _draw_rows(target, begin, n_rows, (colour_1, runs_1, start_1), 1, offset_1, table, value, place)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _first_point(row, begin, end, wanted):
+    """Return the first point of [begin, end) whose row is at least ``wanted``; the rows are sorted."""
+    while begin < end:
+        middle = (begin + end) // 2
+        if row[middle] < wanted:
+            begin = middle + 1
+        else:
+            end = middle
+    return begin
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -229,23 +342,31 @@ def _draw_direct_run(image, radiance, source, target, n, spans, value, bounds, t
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_spans(image, radiance, runs, row_start, spans, value, span_of_variant, cols, band_rows):
-    """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_runs`.
+def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
+    """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_levels`.
 
     Short runs are drawn pixel by pixel, each span of the PSF as one contiguous stretch; long ones point by point, each
     point adding the run as one contiguous stretch.
 
     Parameters
     ----------
-    image, radiance, runs, row_start, cols, band_rows
-        As for `splat_runs`; the stride is 1.
+    image : ndarray of shape (rows * cols * 4,), float32
+        Accumulated in place.
+    level : tuple of (radiance, runs, row_start)
+        As for `splat_levels`; the stride is 1.
     spans : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
         Row offset of each span, ascending within a variant; its offset in floats of the flattened image; its points.
     value : ndarray of shape (n_points * 4,), float32
         Values of the points for R, G, B and alpha.
     span_of_variant : ndarray of shape (n_variants + 1,), int64
         The spans of each variant.
+    canvas : tuple of three ints
+        Row and column, in the frame, of the image's first pixel; cols.
+    band_rows : int
+        Height of a band.
     """
+    radiance, runs, row_start = level
+    top, left, cols = canvas
     span_row, span_offset, span_start = spans
     rows = row_start.shape[0] - 1
     reach = 0
@@ -258,33 +379,14 @@ def splat_spans(image, radiance, runs, row_start, spans, value, span_of_variant,
         end_row = min(begin_row + band_rows, rows)
         tiled = np.empty(4 * longest, np.float32)
         for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
-            row, length, variant = runs[i, 1], runs[i, 3], runs[i, 4]
+            row, length, variant = runs[i, 1] - top, runs[i, 3], runs[i, 4]
             begin = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
             end = _first_point(span_row, begin, span_of_variant[variant + 1], end_row - row)
             if begin == end:
                 continue
             source = _U(4) * _U(runs[i, 0])
-            target = 4 * (np.int64(row) * cols + runs[i, 2])
+            target = 4 * (np.int64(row) * cols + runs[i, 2] - left)
             _draw_direct_run(image, radiance, source, target, length, spans, value, (begin, end), tiled)
-
-
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def add_spread(image, spaced, distance):
-    """Add an image (rows, cols, 4) and its copies moved down, right, and both, by a distance, px, to another."""
-    rows, width = image.shape[0], 4 * image.shape[1]
-    target = image.reshape(rows * width)
-    source = spaced.reshape(rows * width)
-    for row in numba.prange(rows):
-        here = _U(row * width)
-        above = _U(max(row - distance, 0) * width)
-        step = _U(4 * distance)
-        weight = np.float32(1.0) if row >= distance else np.float32(0.0)
-        for k in range(_U(0), min(step, _U(width))):
-            target[here + k] += source[here + k] + weight * source[above + k]
-        for k in range(step, _U(width)):
-            moved = k - step
-            beside = source[here + k] + source[here + moved]
-            target[here + k] += beside + weight * (source[above + k] + source[above + moved])
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)

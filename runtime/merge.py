@@ -16,13 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _merge_kernels
-from runtime.splat import NO_SHIFT, SplatPass
-
-STRIDES = (2, 4)
-"""Sides of the blocks, px: each level merges 2 x 2 blocks of the one before."""
+from runtime.splat import NO_SHIFT, STRIDES, SplatPass
 
 
-def merge_passes(
+def merge_blocks(
     frame: SplatPass, variation: npt.NDArray[np.float32], tolerance: float
 ) -> tuple[list[SplatPass], float]:
     """Split a pass into blocks that can be drawn as one, and the pixels left.
@@ -30,34 +27,34 @@ def merge_passes(
     Parameters
     ----------
     frame : SplatPass
-        Labelled pixels with stride 1.
-    variation : ndarray of shape (n_variants,), float32
-        Total variation of each variant's PSF, infinite where pixels must not be merged.
+        Labelled pixels with stride 1; its labels are changed in place.
+    variation : ndarray of shape (n_labels,), float32
+        Total variation of each label's PSF, infinite where pixels must not be merged.
     tolerance : float
         Largest change of the displayed image, as a share of its range, that a merged block may cause.
 
     Returns
     -------
-    passes : list of SplatPass
-        Strides 1, 2 and 4, those with no pixel left out.
+    levels : list of SplatPass
+        Strides 1, 2 and 4, as far as there are any.
     bound : float
         Bound on the change of the displayed image, at most the tolerance.
     """
+    levels = [frame]
     if frame.shift is not NO_SHIFT or tolerance <= 0:
-        return [frame], 0.0
-    passes = [frame._replace(variant=frame.variant.copy())]
-    share = np.float32(tolerance / len(STRIDES))
+        return levels, 0.0
+    share = np.float32(tolerance / (len(STRIDES) - 1))
     bound = 0.0
-    for stride in STRIDES:
-        finer = passes[-1]
-        height, width = (size // 2 for size in finer.variant.shape)
+    for stride in STRIDES[1:]:
+        finer = levels[-1]
+        height, width = (size // 2 for size in finer.label.shape)
         if not height or not width:
             break
         radiance = np.empty((height, width, 4), np.float32)
-        variant = np.empty((height, width), np.int32)
+        label = np.empty((height, width), np.int32)
         worst = np.zeros(height, np.float32)
         factor = (variation * np.float32((stride - 1) / 4)).astype(np.float32)
-        _merge_kernels.merge_blocks(finer.radiance, finer.variant, factor, share, radiance, variant, worst)
+        _merge_kernels.merge_blocks(finer.radiance, finer.label, factor, share, radiance, label, worst)
         bound += float(worst.max())
-        passes.append(SplatPass(frame.origin, radiance, variant, NO_SHIFT, stride))
-    return [each for each in passes if (each.variant >= 0).any()], bound
+        levels.append(SplatPass(frame.origin, radiance, label, NO_SHIFT, stride))
+    return levels, bound

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _plan_kernels
-from runtime.border import border_passes
-from runtime.merge import merge_passes
+from runtime.border import extended_pass
+from runtime.merge import merge_blocks
 from runtime.splat import PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
@@ -26,6 +26,8 @@ N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
 """PSFs are scaled by up to 8; a wider one covers the frame evenly whatever its exact size."""
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
+EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
+"""How much of each coordinate adds to the extent of a PSF."""
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 
@@ -39,12 +41,15 @@ class Labels(NamedTuple):
         Signed radius of the circle of confusion.
     path : ndarray of shape (H, W, 2), float32
         Motion (dx, dy) over the shutter.
+    length : ndarray of shape (H, W), float32
+        Length of the path.
     shift : ndarray of shape (H, W, 2), float32, or None
         From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
     """
 
     coc: npt.NDArray[np.float32]
     path: npt.NDArray[np.float32]
+    length: npt.NDArray[np.float32]
     shift: npt.NDArray[np.float32] | None
 
 
@@ -54,12 +59,10 @@ class Plan:
 
     Attributes
     ----------
-    passes : list of SplatPass
-        The labelled pixels to draw, and those that continue the frame beyond its border.
+    sources : list of list of SplatPass
+        The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
     table : PointTable
         The points of the variants in use.
-    padding : int
-        Pixels that the splats need around the frame on each side.
     cells_used : set of int
     pixels_skipped : int
         Pixels of the frame that contribute nothing.
@@ -69,9 +72,8 @@ class Plan:
         What this layer does not need.
     """
 
-    passes: list[SplatPass]
+    sources: list[list[SplatPass]]
     table: PointTable
-    padding: int
     cells_used: set[int]
     pixels_skipped: int
     error_bound: float = 0.0
@@ -79,9 +81,9 @@ class Plan:
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw."""
-        drawn, splats, merged = np.zeros((3, len(self.table.direct)), np.int64)
-        for source in self.passes:
-            count = np.bincount(source.variant.ravel() + 1, minlength=len(drawn) + 1)[1:]
+        drawn, splats, merged = np.zeros((3, self.table.n_variants), np.int64)
+        for source in (each for levels in self.sources for each in levels):
+            count = _plan_kernels.count_labels(source.label, self.table.n_variants)
             splats += count
             drawn += count * source.stride**2
             merged += count * source.stride**2 if source.stride > 1 else 0
@@ -96,12 +98,15 @@ class Plan:
 def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
     """Turn depth and motion vectors into the PSF's parameters; an effect that is off has parameter 0."""
     height, width = layer.depth.shape
-    still = np.zeros((height, width), np.float32)
-    coc = np.asarray(camera.coc_radius(layer.depth, width), np.float32) if defocus else still
+    coc, length = np.zeros((2, height, width), np.float32)
+    if defocus:
+        _plan_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
     if not motion or not layer.has_motion:
-        return Labels(coc, np.broadcast_to(still[..., None], (height, width, 2)), None)
+        return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
-    return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift)
+    path = layer.motion * np.float32(camera.shutter_duration)
+    _plan_kernels.path_lengths(path, length)
+    return Labels(coc, path, length, shift)
 
 
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
@@ -115,7 +120,15 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     return needed
 
 
-def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: float, dense_psf: DensePsf | None) -> Plan:
+def plan_layer(
+    layer: Layer,
+    labels: Labels,
+    database: Database,
+    tolerance: float,
+    dense_psf: DensePsf | None,
+    *,
+    border: bool = True,
+) -> Plan:
     """Decide the variant of each pixel, read just the cells in use, and lay out the passes to draw.
 
     Parameters
@@ -127,34 +140,34 @@ def plan_layer(layer: Layer, labels: Labels, database: Database, tolerance: floa
     database : Database
         The spreadlets.
     tolerance : float
-        See `runtime.merge.merge_passes`.
+        See `runtime.merge.merge_blocks`.
     dense_psf : callable or None
         If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
+    border : bool
+        Whether to continue the frame beyond its border.
 
     Notes
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     key, excess = _variant_keys(layer, labels, database.grid, database.cell_start)
-    n_keys = 1 + 8 * database.n_spreadlets * N_SCALES
+    n_keys = 1 + 8 * database.n_spreadlets * (1 + int(excess[:, 2].max()))
     used, place = _plan_kernels.used_keys(key, n_keys)
-    index = np.empty(key.shape, np.int32)
-    _plan_kernels.replace_keys(key, place, index)
-    visible = index >= 0
-    _warn_beyond_range(database.grid, excess, int(visible.sum()))
+    label = np.empty(key.shape, np.int32)
+    skipped = int(_plan_kernels.replace_keys(key, place, label))
+    _warn_beyond_range(database.grid, excess, label.size - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
     table = _point_table(list(variant_points(variants, database, dense_psf)), database.n_channels)
-    passes = [each for frame in _passes(layer.radiance, index, labels.shift) for each in _with_border(frame, table)]
-    error_bound = 0.0
-    if dense_psf is None:
-        passes, error_bound = _merged(passes, variants, table, database, tolerance)
+    moved = _passes(layer.radiance, label, labels.shift)
+    frames = [extended_pass(each, table.reaches + _farthest(each.shift)) if border else each for each in moved]
+    variation = _variation(variants, table, database)
+    merged = [merge_blocks(each, variation, 0.0 if dense_psf else tolerance) for each in frames]
     plan = Plan(
-        passes=passes,
+        sources=[levels for levels, _ in merged],
         table=table,
-        padding=_padding(passes, table, index.shape),
         cells_used={variant.cell for variant in variants if variant != SHARP},
-        pixels_skipped=int(visible.size - visible.sum()),
-        error_bound=error_bound,
+        pixels_skipped=skipped,
+        error_bound=max((bound for _, bound in merged), default=0.0),
     )
     plan.left_out = _left_out(plan, labels, variants)
     return plan
@@ -164,30 +177,31 @@ def _variant_keys(
     layer: Layer, labels: Labels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
-    length = np.hypot(labels.path[..., 0], labels.path[..., 1])
-    radius = np.abs(labels.coc)
-    coordinate = _coordinates({"coc": radius, "motion": length}, grid)
-    key = np.empty(radius.shape, np.int64)
-    excess = np.empty((len(radius), 2), np.float64)
-    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.level_offset, cell_start
+    given = {"coc": labels.coc, "motion": labels.length}
+    _warn_of_missing_axes(given, grid)
+    names = [axis.name for axis in grid.model.axes]
+    key = np.empty(labels.coc.shape, np.int64)
+    excess = np.empty((len(key), 3), np.float64)
+    share = np.array([EXTENT_SHARES[name] for name in names], np.float64)
+    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start, share
     scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
-    sharp = radius + np.float32(0.5) * length <= SHARP_EXTENT
-    _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, sharp, tables, scales, key, excess)
+    coordinate = tuple(given[name] for name in names)
+    _plan_kernels.variant_keys(
+        layer.radiance, coordinate, labels.path, SHARP_EXTENT, tables, scales, key, excess
+    )
     return key, excess
 
 
-def _coordinates(given: dict[str, npt.NDArray[np.float32]], grid: PsfGrid) -> npt.NDArray[np.float32]:
-    """Return the coordinates of each pixel in the model's parameter space, shape (n_axes, H, W)."""
-    names = [axis.name for axis in grid.model.axes]
-    for name in sorted(set(given) - set(names)):
-        share = 100.0 * float((given[name] > 0).mean())
+def _warn_of_missing_axes(given: dict[str, npt.NDArray[np.float32]], grid: PsfGrid) -> None:
+    """Say which share of the pixels has an effect that the database's model does not know."""
+    for name in sorted(set(given) - {axis.name for axis in grid.model.axes}):
+        share = 100.0 * np.count_nonzero(given[name]) / given[name].size
         if share > 0:
             warnings.warn(
                 f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {share:.1f} % of "
                 "the pixels",
                 stacklevel=2,
             )
-    return np.stack([given[name] for name in names])
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
@@ -207,8 +221,8 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
     """Turn a key of the kernel back into what it stands for."""
     if key == _plan_kernels.SHARP:
         return SHARP
-    turned, step = divmod(key - 1, N_SCALES)
-    spreadlet, orientation = divmod(turned, 8)
+    scaled, orientation = divmod(key - 1, 8)
+    step, spreadlet = divmod(scaled, int(cell_start[-1]))
     cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
     return Variant(
         cell=cell,
@@ -234,14 +248,16 @@ def _point_table(
 
 
 def _passes(
-    radiance: npt.NDArray[np.float32], variant: npt.NDArray[np.int32], shift: npt.NDArray[np.float32] | None
+    radiance: npt.NDArray[np.float32], label: npt.NDArray[np.int32], shift: npt.NDArray[np.float32] | None
 ) -> Iterator[SplatPass]:
     """Split a layer by the fractional part of its shifts: one pass if there is none, up to four corners else."""
+    if not (label >= 0).any():
+        return
     if shift is None:
-        yield SplatPass((0, 0), radiance, variant)
+        yield SplatPass((0, 0), radiance, label)
         return
     steps = np.rint(shift[..., ::-1].astype(np.float64) * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
-    steps[variant < 0] = 0
+    steps[label < 0] = 0
     whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
     share = fraction / SHIFT_STEPS_PER_PIXEL
     for corner_row in (0, 1):
@@ -249,50 +265,33 @@ def _passes(
             weight_row = share[..., 0] if corner_row else 1.0 - share[..., 0]
             weight_col = share[..., 1] if corner_col else 1.0 - share[..., 1]
             weight = (weight_row * weight_col).astype(np.float32)
-            drawn = np.where(weight > 0, variant, -1).astype(np.int32)
+            drawn = np.where(weight > 0, label, -1).astype(np.int32)
             if (drawn >= 0).any():
                 moved = (whole + (corner_row, corner_col)).astype(np.int32)
                 yield SplatPass((0, 0), radiance * weight[..., None], drawn, moved)
 
 
-def _with_border(frame: SplatPass, table: PointTable) -> list[SplatPass]:
-    """Return the pass of a frame and those that continue it beyond its border."""
-    moved = int(np.abs(frame.shift).max(initial=0))
-    return [frame, *border_passes(frame, table.reaches() + moved)]
+def _farthest(shift: npt.NDArray[np.int32]) -> int:
+    """Return the largest displacement in rows or columns, px."""
+    return int(np.abs(shift).max(initial=0))
 
 
-def _merged(
-    passes: list[SplatPass], variants: list[Variant], table: PointTable, database: Database, tolerance: float
-) -> tuple[list[SplatPass], float]:
-    """Merge blocks of like pixels in every pass; return all passes and the bound on the change."""
+def _variation(variants: list[Variant], table: PointTable, database: Database) -> npt.NDArray[np.float32]:
+    """Return the total variation of each variant's PSF, infinite where it is drawn directly."""
     stored = database.statistics()["total_variation"]
     variation = np.full(len(variants), np.inf, np.float32)
     for number, variant in enumerate(variants):
         if not table.direct[number]:
             # A PSF stretched by s is lower by s^2 and its outline longer by s.
             variation[number] = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
-    merged = [merge_passes(each, variation, tolerance) for each in passes]
-    return [each for group, _ in merged for each in group], max((bound for _, bound in merged), default=0.0)
-
-
-def _padding(passes: list[SplatPass], table: PointTable, shape: tuple[int, ...]) -> int:
-    """Return how far the splats of all passes can reach beyond the frame, px."""
-    padding = 0
-    for each in passes:
-        drawn = np.zeros(len(table.direct), np.bool_)
-        drawn[each.variant[each.variant >= 0]] = True
-        last = [first + size * each.stride for first, size in zip(each.origin, each.variant.shape, strict=True)]
-        beyond = max(0, -min(each.origin), last[0] - shape[0], last[1] - shape[1])
-        moved = int(np.abs(each.shift).max(initial=0))
-        padding = max(padding, beyond + moved + int(table.reaches()[drawn].max(initial=0)))
-    return padding
+    return variation
 
 
 def _left_out(plan: Plan, labels: Labels, variants: list[Variant]) -> list[str]:
     """Name what this layer does not need."""
     skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
-        "motion": not labels.path.any(),
+        "motion": not labels.length.any(),
         "defocus": not labels.coc.any(),
         "sparse image": bool(plan.table.direct.all()),
         "direct image": not plan.table.direct.any(),

@@ -12,11 +12,10 @@ import numba.core.event
 import numpy as np
 import numpy.typing as npt
 
-from runtime._kernels import add_spread
-from runtime.composite import over, reweight
+from runtime.composite import is_opaque, over, reweight
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
 from runtime.plan import Plan, label_pixels, plan_layer
-from runtime.splat import gather, splat
+from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian
 from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
@@ -128,60 +127,64 @@ def synthesize(
     clock = clock or Clock()
     composite: Image | None = None
     plans = []
+    padding = 0
     for layer in frame.layers:
         with clock.step("plan"):
             labels = label_pixels(layer, camera, defocus=defocus, motion=motion)
-            plan = plan_layer(layer, labels, database, tolerance, dense_psf)
+            plan = plan_layer(layer, labels, database, tolerance, dense_psf, border=not filtering)
         if filtering:
             with clock.step("splat"):
-                image = gather(plan.passes[0], plan.table)
+                image = gather(plan.sources[0][0], plan.table)
         else:
-            image = _render_layer(layer, plan, (integrator, cycles), clock)
+            image, beyond = _render_layer(layer, plan, (integrator, cycles), clock)
+            padding = max(padding, beyond)
         with clock.step("composite"):
             composite = image if composite is None else over(composite, image)
         plans.append(plan)
     assert composite is not None, "a frame has at least one layer"
-    return composite, _report(plans, database, clock)
+    return composite, _report(plans, padding, database, clock)
 
 
-def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Clock) -> Image:
-    """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight."""
-    height, width = layer.depth.shape
-    padding = plan.padding + SOLVER_MARGIN
-    padded = np.zeros((height + 2 * padding, width + 2 * padding, 4), np.float32)
+def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Clock) -> tuple[Image, int]:
+    """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight.
+
+    Also returned is how far beyond the frame there was something to compute, px.
+    """
+    height, width = layer.shape
+    with clock.step("splat"):
+        sources = [[find_runs(each, plan.table, 1) for each in levels] for levels in plan.sources]
+        canvas = canvas_of([each for levels in sources for each in levels], (0, 1), plan.table, SOLVER_MARGIN)
+    if canvas is None:
+        return np.zeros((height, width, 4), np.float32), 0
+    padded = _splat_layer(sources, canvas, plan, solver, clock)
+    with clock.step("composite"):
+        image = reweight(padded, (canvas.top, canvas.left), layer.shape, opaque=is_opaque(layer.radiance))
+    behind = canvas.top + canvas.rows - height, canvas.left + canvas.cols - width
+    return image, max(-canvas.top, -canvas.left, *behind)
+
+
+def _splat_layer(
+    sources: list[list[Runs]], canvas: Canvas, plan: Plan, solver: tuple[str, int], clock: Clock
+) -> Image:
+    """Return the sum of all splats of a layer on a canvas."""
+    sparse, direct = 0, 1
+    with clock.step("splat"):
+        if plan.table.direct.all():
+            padded = np.zeros((canvas.rows, canvas.cols, 4), np.float32)
+        else:
+            padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
+            for number, levels in enumerate(sources):
+                splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=number == 0)
     if not plan.table.direct.all():
-        with clock.step("splat"):
-            _splat_laplacian(padded, plan, padding)
         with clock.step("integrate"):
             padded = integrate(padded, solver[0], cycles=solver[1])
-    if plan.table.direct.any():
-        with clock.step("splat"):
-            for source in plan.passes:
-                if source.stride == 1:
-                    splat(padded, source, plan.table, padding, plan.table.direct)
-    with clock.step("composite"):
-        inside = padded[padding : padding + height, padding : padding + width].copy()
-        return reweight(inside, opaque=bool((layer.radiance[..., 3] == 1.0).all()))
+    with clock.step("splat"):
+        for levels in sources:
+            splat_direct(padded, canvas, levels[0], direct, plan.table)
+    return padded
 
 
-def _splat_laplacian(padded: Image, plan: Plan, padding: int) -> None:
-    """Splat the Laplacian of all passes: blocks into images of their own, spread over their area afterwards."""
-    sparse = ~plan.table.direct
-    stride = max((source.stride for source in plan.passes), default=1)
-    blocks: Image | None = None
-    while True:
-        image = padded if stride == 1 else np.zeros_like(padded)
-        for source in plan.passes:
-            if source.stride == stride:
-                splat(image, source, plan.table, padding, sparse)
-        if blocks is not None:
-            add_spread(image, blocks, stride)
-        if stride == 1:
-            return
-        blocks, stride = image, stride // 2
-
-
-def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, Any]:
+def _report(plans: list[Plan], padding: int, database: Database, clock: Clock) -> dict[str, Any]:
     """Gather the plans' figures under the names of the command line's JSON output."""
     counts = [plan.counts() for plan in plans]
     left_out = set.intersection(*(set(plan.left_out) for plan in plans))
@@ -192,7 +195,7 @@ def _report(plans: list[Plan], database: Database, clock: Clock) -> dict[str, An
         "cells_total": database.n_cells,
         "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
         "error_bound": max(plan.error_bound for plan in plans),
-        "padding_px": max(plan.padding for plan in plans) + SOLVER_MARGIN,
+        "padding_px": padding,
         "left_out": [name for name in plans[0].left_out if name in left_out],
     }
     return {

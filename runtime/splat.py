@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -15,8 +19,14 @@ BAND_ROWS = 32
 NO_SHIFT = np.zeros((0, 0, 2), np.int32)
 """The shift of a pass whose splats are centred on their pixels."""
 
+STRIDES = (1, 2, 4)
+"""Sides of the blocks, px, that can be drawn as one."""
 
-class PointTable(NamedTuple):
+Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PointTable:
     """The points of all variants of a plan, concatenated; each variant's points are sorted by row.
 
     Attributes
@@ -32,24 +42,34 @@ class PointTable(NamedTuple):
     """
 
     offset_rc: npt.NDArray[np.int32]
-    value: npt.NDArray[np.float32]
+    value: Image
     point_start: npt.NDArray[np.int64]
     direct: npt.NDArray[np.bool_]
+
+    @property
+    def n_variants(self) -> int:
+        """Number of variants."""
+        return len(self.direct)
 
     @property
     def n_points(self) -> npt.NDArray[np.int64]:
         """Number of points of each variant, shape (n_variants,)."""
         return np.diff(self.point_start)
 
+    @cached_property
     def reaches(self) -> npt.NDArray[np.int64]:
-        """Return the largest distance, in rows or columns, from a splat's centre to a point of each variant, px."""
+        """The largest distance, in rows or columns, from a splat's centre to a point of each variant, px."""
         if not len(self.direct):
             return np.zeros(0, np.int64)
         return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
 
-    def reach(self) -> int:
-        """Return the largest of the `reaches`."""
-        return int(self.reaches().max(initial=0))
+    @cached_property
+    def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
+        """Where the points of each row of each variant begin: see `runtime._kernels.rows_of_points`."""
+        base = np.concatenate([[0], np.cumsum(2 * self.reaches + 2)]).astype(np.int64)
+        first = np.empty(base[-1], np.int64)
+        _kernels.rows_of_points(self.offset_rc, self.point_start, self.reaches, base, first)
+        return self.point_start, first, base, self.reaches
 
 
 class SplatPass(NamedTuple):
@@ -60,9 +80,9 @@ class SplatPass(NamedTuple):
     origin : tuple of two ints
         Row and column of the rectangle's first pixel in the frame; negative beyond its border.
     radiance : ndarray of shape (H, W, 4), float32
-        Premultiplied colour.
-    variant : ndarray of shape (H, W), int32
-        Variant of each pixel, negative where nothing is drawn.
+        Premultiplied colour, C-contiguous.
+    label : ndarray of shape (H, W), int32
+        ``layer * n_variants + variant`` of each pixel, negative where nothing is drawn.
     shift : ndarray of shape (H, W, 2), int32, or `NO_SHIFT`
         Displacement (row, col) of the splat's centre from the pixel, px.
     stride : int
@@ -70,48 +90,132 @@ class SplatPass(NamedTuple):
     """
 
     origin: tuple[int, int]
-    radiance: npt.NDArray[np.float32]
-    variant: npt.NDArray[np.int32]
+    radiance: Image
+    label: npt.NDArray[np.int32]
     shift: npt.NDArray[np.int32] = NO_SHIFT
     stride: int = 1
 
 
-def splat(
-    image: npt.NDArray[np.float32], source: SplatPass, table: PointTable, padding: int, wanted: npt.NDArray[np.bool_]
+class Runs(NamedTuple):
+    """The runs of like pixels of a pass, by group: ``2 * layer``, plus 1 where the variant is direct.
+
+    Attributes
+    ----------
+    source : SplatPass
+    runs : ndarray of shape (n_runs, 5), int32
+        See `runtime._kernels.RUN_SOURCE`; sorted by group, then by row.
+    start : ndarray of shape (n_groups + 1,), int64
+        Where the runs of each group begin.
+    """
+
+    source: SplatPass
+    runs: npt.NDArray[np.int32]
+    start: npt.NDArray[np.int64]
+
+    def of(self, group: int) -> npt.NDArray[np.int32]:
+        """Return the runs of a group."""
+        return self.runs[self.start[group] : self.start[group + 1]]
+
+
+class Canvas(NamedTuple):
+    """A rectangle of the frame, px; it may reach beyond the frame's border."""
+
+    top: int
+    left: int
+    rows: int
+    cols: int
+
+
+def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
+    """List the runs of neighbouring pixels of a pass that share a label and a shift."""
+    group = (2 * np.arange(n_layers)[:, None] + table.direct).astype(np.int64).ravel()
+    count = np.empty((2 * n_layers, source.label.shape[0]), np.int64)
+    _kernels.count_runs(source.label, source.shift, group, count)
+    ends = np.cumsum(count.ravel())
+    start = np.concatenate([[0], ends[count.shape[1] - 1 :: count.shape[1]]])
+    runs = np.empty((int(start[-1]), 5), np.int32)
+    first = (ends - count.ravel()).reshape(count.shape)
+    place = 0, *source.origin, source.stride
+    _kernels.list_runs(source.label, source.shift, group, first, place, table.n_variants, runs)
+    if source.shift is not NO_SHIFT:
+        for begin, end in zip(start[:-1], start[1:], strict=True):
+            runs[begin:end] = runs[begin:end][np.argsort(runs[begin:end, _kernels.RUN_ROW], kind="stable")]
+    return Runs(source, runs, start)
+
+
+def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable, margin: int) -> Canvas | None:
+    """Return the rectangle that holds all splats of some groups and a margin, or None if there are no splats.
+
+    Its columns fit blocks of any stride, whose passes all start at the same column.
+    """
+    bounds = [
+        _kernels.run_bounds(each.of(group), table.reaches, each.source.stride)
+        for each in sources
+        for group in groups
+        if len(each.of(group))
+    ]
+    if not bounds:
+        return None
+    top, left, bottom, right = (
+        int(pick(side)) for pick, side in zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
+    )
+    left -= margin
+    left -= (left - sources[0].source.origin[1]) % STRIDES[-1]
+    cols = right + margin - left
+    return Canvas(top - margin, left, bottom - top + 2 * margin, cols + -cols % STRIDES[-1])
+
+
+def splat_laplacian(
+    image: Image, canvas: Canvas, levels: Sequence[Runs], group: int, table: PointTable, *, fresh: bool = True
 ) -> None:
-    """Draw the pixels of a pass whose variant is wanted into a padded image, in place.
+    """Draw one group of sparse variants into an image, in place.
 
     Parameters
     ----------
-    image : ndarray of shape (rows, cols, 4), float32, contiguous
-        Laplacian or direct image; the frame's first pixel lies at (padding, padding). Every splat must lie within it.
-    source : SplatPass
-        The pixels.
+    image : ndarray of shape (canvas.rows, canvas.cols, 4), float32, contiguous
+        Laplacian image.
+    canvas : Canvas
+        Every splat must lie within it.
+    levels : sequence of Runs
+        Single pixels and blocks, of different strides.
+    group : int
+        The group to draw.
     table : PointTable
         Points of the variants.
-    padding : int
-        Border around the frame, px.
-    wanted : ndarray of shape (n_variants,), bool
-        The variants to draw.
+    fresh : bool
+        Whether to overwrite the image rather than to add to it.
     """
-    runs = _kernels.find_runs(source.variant, source.shift, wanted)
-    if not len(runs):
+    by_stride = {each.source.stride: each for each in levels}
+    nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
+    drawn = tuple(
+        _level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES
+    )
+    row, col = table.offset_rc.T.astype(np.int64)
+    pitch = 4 * canvas.cols
+    offsets = tuple(
+        row * pitch + 4 * ((col % stride) * (canvas.cols // stride) + col // stride) for stride in STRIDES
+    )
+    scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
+    place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
+    rows = image.reshape(canvas.rows, pitch)
+    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.value, place, scratch, BAND_ROWS, fresh)
+
+
+def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
+    """Add one group of direct variants to an image in place; arguments as for `splat_laplacian`, of stride 1."""
+    if not len(source.of(group)):
         return
-    rows, cols = image.shape[:2]
-    for column, first in ((_kernels.RUN_ROW, source.origin[0]), (_kernels.RUN_COL, source.origin[1])):
-        runs[:, column] *= source.stride
-        runs[:, column] += padding + first
-    if source.shift is not NO_SHIFT:
-        runs = np.ascontiguousarray(runs[np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")])
-    row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], np.arange(rows + 1)).astype(np.int64)
-    flat = image.reshape(-1), np.ascontiguousarray(source.radiance).reshape(-1), runs, row_start
-    if table.direct[wanted].all():
-        spans, value, span_of_variant = _spans(table, cols)
-        _kernels.splat_spans(*flat, spans, value, span_of_variant, cols, BAND_ROWS)
-    else:
-        row, col = table.offset_rc.T
-        points = np.ascontiguousarray(row), 4 * (row.astype(np.int64) * cols + col)
-        _kernels.splat_runs(*flat, points, table.value, table.point_start, (cols, source.stride), BAND_ROWS)
+    spans, value, span_of_variant = _spans(table, canvas.cols)
+    place = canvas.top, canvas.left, canvas.cols
+    level = _level(source, group, canvas)
+    _kernels.splat_spans(image.reshape(-1), level, spans, value, span_of_variant, place, BAND_ROWS)
+
+
+def _level(source: Runs, group: int, canvas: Canvas) -> tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+    """Return the flattened colours, the runs, and where the runs of each row of the canvas begin."""
+    runs = source.of(group)
+    row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], canvas.top + np.arange(canvas.rows + 1))
+    return source.source.radiance.reshape(-1), runs, row_start.astype(np.int64)
 
 
 def _spans(
@@ -129,7 +233,7 @@ def _spans(
     return spans, coloured[:, lanes].reshape(-1), np.searchsorted(first, table.point_start)
 
 
-def gather(source: SplatPass, table: PointTable) -> npt.NDArray[np.float32]:
+def gather(source: SplatPass, table: PointTable) -> Image:
     """Filter a layer: each pixel becomes the mean of its surroundings under its own PSF (LKS section 7, FILTERING).
 
     Parameters
@@ -142,12 +246,11 @@ def gather(source: SplatPass, table: PointTable) -> npt.NDArray[np.float32]:
     Returns
     -------
     ndarray of shape (H, W, 4), float32
-        Zero where the variant is negative. Beyond the border the frame's edge is repeated.
+        Zero where the label is negative. Beyond the border the frame's edge is repeated.
     """
-    padding = table.reach()
+    padding = int(table.reaches.max(initial=0))
     padded = np.pad(source.radiance, ((padding, padding), (padding, padding), (0, 0)), mode="edge")
-    runs = _kernels.find_runs(source.variant, NO_SHIFT, np.ones(len(table.direct), np.bool_))
-    runs[:, [_kernels.RUN_ROW, _kernels.RUN_COL]] += padding
+    runs = find_runs(source._replace(shift=NO_SHIFT, origin=(padding, padding)), table, 1).runs
     # A filter mirrors its kernel: the light under offset d is light that a splat would have moved by -d.
     row, col = -table.offset_rc.T.astype(np.int64)
     cols = padded.shape[1]

@@ -82,6 +82,11 @@ class NestedGrid:
         return np.cumsum([0, *_level_sizes(self.shape)[:-1]], dtype=np.int64)
 
     @cached_property
+    def unit_cell(self) -> npt.NDArray[np.int64]:
+        """The cell of each unit box, row-major, shape (prod(shape),): every border of a cell is an integer."""
+        return self.index(np.moveaxis(np.indices(self.shape), 0, -1) + 0.5).ravel()
+
+    @cached_property
     def _boxes(self) -> npt.NDArray[np.float64]:
         """Place the boxes level by level, row-major, until the space is full."""
         boxes = []
