@@ -5,8 +5,11 @@
 Synthetic frames: a picture with texture and highlights; CoC radius constant, smoothly varying, or random for each pixel
 (from half the radius to the radius), alone and with motion. Rendered frames are read from ``--frames`` (default
 ../shared/frames, skipped where missing) and tiled to the size. Databases with just the cells in use are built for the
-run. Times are medians of interleaved rounds. Dense splatting draws the same PSFs in full; tracing them is not counted.
-Writes speed.txt to benchmarks/results.
+run. Times are medians of interleaved rounds. Dense splatting draws the same PSFs in full, pixel by pixel (dense) or as
+differences along rows that are summed up at the end (rows); tracing them is not counted. Columns: seconds of the four,
+spreadlets without and with level of detail; dense over spreadlets without and with it (x), rows over spreadlets; SSIM
+lost against dense; cost of a point without level of detail in units of the first line; points per pixel without and
+with it; milliseconds of the steps. Writes speed.txt to benchmarks/results.
 """
 
 import argparse
@@ -22,7 +25,7 @@ from scipy import ndimage
 
 import spreadlets as sp
 from runtime.render import Clock, synthesize
-from spreadlets.api import _dense_psf
+from spreadlets.api import DensePsfs
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("coins", "whirl", "fence")
@@ -93,8 +96,8 @@ def rendered(folder: Path, scene: str, size: int) -> tuple[sp.Frame, sp.ThinLens
 class DenseCache:
     """Traces each PSF once."""
 
-    def __init__(self, database: sp.Database) -> None:
-        self.trace, self.known = _dense_psf(database), {}
+    def __init__(self, database: sp.Database, by_rows: bool) -> None:
+        self.trace, self.by_rows, self.known = DensePsfs(database), by_rows, {}
 
     def __call__(self, cell: int, direction: int, scale: float) -> np.ndarray:
         """Return the PSF of a cell."""
@@ -114,32 +117,34 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
         sp.build_database("combined", path, frames=[frame], camera=camera, **sizes)
         with sp.open_database(path) as database:
             options = {
-                "dense": {"dense_psf": DenseCache(database)},
+                "dense": {"dense_psf": DenseCache(database, by_rows=False)},
+                "rows": {"dense_psf": DenseCache(database, by_rows=True)},
                 "exact": {"tolerance": 0.0},
                 "default": {},
             }
             for each in options.values():
                 synthesize(frame, camera, database, **each)
             times: dict[str, list[dict[str, float]]] = {method: [] for method in options}
+            results = {}
             for _ in range(rounds):
                 for method, each in options.items():
                     clock = Clock()
                     image, report = synthesize(frame, camera, database, clock=clock, **each)
                     times[method].append(clock.times())
-                    if method == "dense":
-                        ceiling = image
-                    elif method == "exact":
-                        points = report["plan"]["points_splatted"]
-                    else:
-                        merged, plan = image, report["plan"]
+                    results[method] = image, report["plan"]
     steps = {m: {s: statistics.median(t[s] for t in each) for s in each[0]} for m, each in times.items()}
-    plan_time = steps["exact"]["plan"]
-    dense = plan_time + sum(steps["dense"][step] for step in ("splat", "integrate", "composite"))
-    similarity = sp.metrics.ssim(merged, ceiling)
-    cells = [name, dense, steps["exact"]["total"], steps["default"]["total"]]
-    cells += [dense / steps["exact"]["total"], dense / steps["default"]["total"], 1 - similarity]
+    # Planning is the same for all methods, but for tracing the PSFs in full.
+    full = {
+        method: steps["exact"]["plan"] + sum(steps[method][step] for step in ("splat", "integrate", "composite"))
+        for method in ("dense", "rows")
+    }
+    points = results["exact"][1]["points_splatted"]
+    total = steps["default"]["total"]
+    cells = [name, full["dense"], full["rows"], steps["exact"]["total"], total]
+    cells += [full["dense"] / steps["exact"]["total"], full["dense"] / total, full["rows"] / total]
+    cells += [1 - sp.metrics.ssim(results["default"][0], results["dense"][0])]
     cells += [steps["exact"]["splat"] / points / unit, points / frame.depth.size]
-    cells += [plan["points_splatted"] / frame.depth.size]
+    cells += [results["default"][1]["points_splatted"] / frame.depth.size]
     cells += [1000 * steps["default"][step] for step in ("plan", "splat", "integrate", "composite")]
     return "".join(f"{cell:>22}" if isinstance(cell, str) else f"{cell:>9.3f}" for cell in cells)
 
@@ -153,7 +158,7 @@ def main() -> None:
     arguments = parser.parse_args()
     numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     unit = unit_time()
-    titles = ("dense s", "tol 0 s", "s", "x tol 0", "x", "1-SSIM", "unit/pt", "pts tol0", "pts")
+    titles = ("dense s", "rows s", "tol 0 s", "s", "x tol 0", "x", "x rows", "1-SSIM", "unit/pt", "pts tol0", "pts")
     titles += ("plan ms", "splat", "integr.", "compos.")
     lines = [f"contiguous float4 multiply-add, two threads: {1e9 * unit:.3f} ns", f"{'frame':>22}"]
     lines[1] += "".join(f"{title:>9}" for title in titles)

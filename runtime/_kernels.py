@@ -428,3 +428,14 @@ def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
                     image[target + k + _U(1)] += g * radiance[source + k + _U(1)]
                     image[target + k + _U(2)] += b * radiance[source + k + _U(2)]
                     image[target + k + _U(3)] += a * radiance[source + k + _U(3)]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def sum_rows(image):
+    """Replace an image (rows, cols, 4), float32, by its running sums along rows, in place."""
+    for row in numba.prange(image.shape[0]):
+        total = np.zeros(4, np.float64)
+        for col in range(image.shape[1]):
+            for c in range(4):
+                total[c] += image[row, col, c]
+                image[row, col, c] = total[c]

@@ -186,9 +186,7 @@ def _variant_keys(
     tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start, share
     scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
     coordinate = tuple(given[name] for name in names)
-    _plan_kernels.variant_keys(
-        layer.radiance, coordinate, labels.path, SHARP_EXTENT, tables, scales, key, excess
-    )
+    _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, SHARP_EXTENT, tables, scales, key, excess)
     return key, excess
 
 

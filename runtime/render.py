@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numba.core.event
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from runtime.composite import is_opaque, over, reweight
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
 from runtime.plan import Plan, label_pixels, plan_layer
-from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian
+from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian, sum_rows
 from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
@@ -30,6 +31,7 @@ SOLVER_MARGIN = 8
 STEPS = ("read", "plan", "splat", "integrate", "composite", "write")
 
 Image = npt.NDArray[np.float32]
+Solver = Callable[[Image], Image]
 
 
 class Clock:
@@ -103,7 +105,7 @@ def synthesize(
     tolerance : float
         Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
     dense_psf : callable or None
-        If given, PSFs are drawn in full from it, every pixel by itself: method ``dense``.
+        If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
     filtering : bool
         Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
     clock : Clock or None
@@ -125,6 +127,7 @@ def synthesize(
     if not 0.0 <= tolerance < 1.0:
         raise InvalidParameterError(f"tolerance is {tolerance}: allowed are 0 (off) to below 1 (the displayed range)")
     clock = clock or Clock()
+    solver = partial(integrate, method=integrator, cycles=cycles)
     composite: Image | None = None
     plans = []
     padding = 0
@@ -136,7 +139,8 @@ def synthesize(
             with clock.step("splat"):
                 image = gather(plan.sources[0][0], plan.table)
         else:
-            image, beyond = _render_layer(layer, plan, (integrator, cycles), clock)
+            by_rows = dense_psf is not None and dense_psf.by_rows
+            image, beyond = _render_layer(layer, plan, sum_rows if by_rows else solver, clock)
             padding = max(padding, beyond)
         with clock.step("composite"):
             composite = image if composite is None else over(composite, image)
@@ -145,7 +149,7 @@ def synthesize(
     return composite, _report(plans, padding, database, clock)
 
 
-def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Clock) -> tuple[Image, int]:
+def _render_layer(layer: Layer, plan: Plan, solver: Solver, clock: Clock) -> tuple[Image, int]:
     """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight.
 
     Also returned is how far beyond the frame there was something to compute, px.
@@ -163,9 +167,7 @@ def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Cloc
     return image, max(-canvas.top, -canvas.left, *behind)
 
 
-def _splat_layer(
-    sources: list[list[Runs]], canvas: Canvas, plan: Plan, solver: tuple[str, int], clock: Clock
-) -> Image:
+def _splat_layer(sources: list[list[Runs]], canvas: Canvas, plan: Plan, solver: Solver, clock: Clock) -> Image:
     """Return the sum of all splats of a layer on a canvas."""
     sparse, direct = 0, 1
     with clock.step("splat"):
@@ -177,7 +179,7 @@ def _splat_layer(
                 splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=number == 0)
     if not plan.table.direct.all():
         with clock.step("integrate"):
-            padded = integrate(padded, solver[0], cycles=solver[1])
+            padded = solver(padded)
     with clock.step("splat"):
         for levels in sources:
             splat_direct(padded, canvas, levels[0], direct, plan.table)

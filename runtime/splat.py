@@ -187,14 +187,10 @@ def splat_laplacian(
     """
     by_stride = {each.source.stride: each for each in levels}
     nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
-    drawn = tuple(
-        _level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES
-    )
+    drawn = tuple(_level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES)
     row, col = table.offset_rc.T.astype(np.int64)
     pitch = 4 * canvas.cols
-    offsets = tuple(
-        row * pitch + 4 * ((col % stride) * (canvas.cols // stride) + col // stride) for stride in STRIDES
-    )
+    offsets = tuple(row * pitch + 4 * ((col % stride) * (canvas.cols // stride) + col // stride) for stride in STRIDES)
     scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
@@ -209,6 +205,12 @@ def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: 
     place = canvas.top, canvas.left, canvas.cols
     level = _level(source, group, canvas)
     _kernels.splat_spans(image.reshape(-1), level, spans, value, span_of_variant, place, BAND_ROWS)
+
+
+def sum_rows(image: Image) -> Image:
+    """Replace an image by its running sums along rows, in place, and return it: differences along rows integrated."""
+    _kernels.sum_rows(image)
+    return image
 
 
 def _level(source: Runs, group: int, canvas: Canvas) -> tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]:

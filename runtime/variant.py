@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +15,22 @@ from spreadlets.spreadlet import Spreadlet
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 
-DensePsf = Callable[[int, int, float], npt.NDArray[np.float64]]
-"""Gives the full PSF of (cell, direction, scale) as an array of odd size, centred."""
+
+class DensePsf(Protocol):
+    """Gives the full PSF of (cell, direction, scale) as an array of odd size, centred, and says how to draw it."""
+
+    @property
+    def by_rows(self) -> bool:
+        """Whether to draw the PSF's differences along rows, summed up afterwards, rather than its pixels."""
+
+    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF."""
+
 
 MIN_DENSE_VALUE = 1e-7
 """Pixels of a dense PSF below this share of its peak are not drawn: under float32's own resolution."""
+MIN_ROW_STEP = 2e-3
+"""A row of a PSF counts as constant while it stays within this share of the peak: a traced disc is not quite even."""
 
 
 class Variant(NamedTuple):
@@ -40,17 +51,32 @@ SHARP = Variant(-1, 0, False, False, False, 1.0)
 def variant_points(variants: list[Variant], database: Database, dense_psf: DensePsf | None) -> Iterator[Points]:
     """Yield each variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
     stored = [each for each in variants if each != SHARP]
-    if dense_psf is None:
-        spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
-    else:
-        spreadlets = [_dense_points(dense_psf(each.cell, each.direction, each.scale)) for each in stored]
     if len(stored) < len(variants):
         yield np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
+    if dense_psf is not None:
+        yield from (_dense_variant(each, dense_psf) for each in stored)
+        return
+    spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
     for each, spreadlet in zip(stored, spreadlets, strict=True):
-        if dense_psf is None and each.scale != 1.0:
-            spreadlet = scaled(spreadlet, each.scale)
-        turned, order = turned_points(spreadlet.offset_rc, each.transpose, each.flip_row, each.flip_col)
-        yield turned, spreadlet.value[order], spreadlet.direct
+        yield _turned(spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale), each)
+
+
+def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
+    """Return the points of a spreadlet, turned as the variant asks."""
+    turned, order = turned_points(spreadlet.offset_rc, variant.transpose, variant.flip_row, variant.flip_col)
+    return turned, spreadlet.value[order], spreadlet.direct
+
+
+def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
+    """Return the points of a variant's full PSF."""
+    psf = dense_psf(variant.cell, variant.direction, variant.scale)
+    if not dense_psf.by_rows:
+        return _turned(_dense_points(psf), variant)
+    # Differences along rows must be taken after turning.
+    turned = psf.swapaxes(0, 1) if variant.transpose else psf
+    turned = turned[:: -1 if variant.flip_row else 1, :: -1 if variant.flip_col else 1]
+    steps = _row_differences(turned)
+    return steps.offset_rc.astype(np.int32), steps.value, False
 
 
 def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
@@ -95,3 +121,19 @@ def _dense_points(psf: npt.NDArray[np.float64]) -> Spreadlet:
     value *= psf.sum(axis=(0, 1)) / value.sum(axis=0)
     centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
     return Spreadlet((np.stack([rows, cols], axis=1) - centre).astype(np.int16), value.astype(np.float32), True)
+
+
+def _row_differences(psf: npt.NDArray[np.float64]) -> Spreadlet:
+    """Turn a centred dense PSF of shape (h, w, C) into the steps along its rows; their running sums are the PSF."""
+    held = np.zeros((psf.shape[0], psf.shape[2]))
+    steps = np.zeros((psf.shape[0], psf.shape[1] + 1, psf.shape[2]))
+    for col in range(psf.shape[1]):
+        moved = (np.abs(psf[:, col] - held) > MIN_ROW_STEP * psf.max()).any(axis=1)
+        steps[moved, col] = psf[moved, col] - held[moved]
+        held[moved] = psf[moved, col]
+    steps[:, -1] = -held
+    steps *= psf.sum() / np.cumsum(steps, axis=1).sum()
+    rows, cols = np.nonzero(steps.any(axis=2))
+    centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
+    offset_rc = (np.stack([rows, cols], axis=1) - centre).astype(np.int16)
+    return Spreadlet(offset_rc, steps[rows, cols].astype(np.float32), False)

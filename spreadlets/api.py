@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 Image = npt.NDArray[np.float32]
 
-METHODS = ("spreadlets", "dense", "gather")
+METHODS = ("spreadlets", "dense", "dense-rows", "gather")
 
 
 @overload
@@ -81,9 +82,9 @@ def synthesize(
     database : Database or str, optional
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
         ``"simplelens"``.
-    method : {"spreadlets", "dense", "gather"}
-        Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling); or filtering with the PSF of the
-        receiving pixel.
+    method : {"spreadlets", "dense", "dense-rows", "gather"}
+        Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
+        along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
     integrator : str, optional
         Poisson solver: ``multigrid`` (default), ``pyramid``, ``exact``, ``pyramid-f5`` or ``pyramid-f7``.
     cycles : int, optional
@@ -131,7 +132,7 @@ def synthesize(
             integrator=integrator or convolution_pyramid.DEFAULT_METHOD,
             cycles=convolution_pyramid.DEFAULT_CYCLES if cycles is None else cycles,
             tolerance=render.DEFAULT_TOLERANCE if tolerance is None else tolerance,
-            dense_psf=None if method == "spreadlets" else _dense_psf(opened),
+            dense_psf=None if method == "spreadlets" else DensePsfs(opened, by_rows=method == "dense-rows"),
             filtering=method == "gather",
             clock=clock,
         )
@@ -177,7 +178,7 @@ def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
     """Draw the quality of an open database as a PNG file; see `spreadlets.plot.plot_database`."""
     from spreadlets.plot import plot_database as plot
 
-    plot(database, path, _dense_psf(database))
+    plot(database, path, DensePsfs(database))
 
 
 def _default_database(frame: Frame, motion: bool) -> str:
@@ -185,16 +186,21 @@ def _default_database(frame: Frame, motion: bool) -> str:
     return "combined" if moving else "simplelens"
 
 
-def _dense_psf(database: Database) -> Callable[[int, int, float], npt.NDArray[np.float64]]:
-    """Return a function that traces the full PSF of a database's cell, as its build did."""
-    from precompute.light_tracing import trace_psf
+@dataclass(frozen=True)
+class DensePsfs:
+    """The full PSFs of a database's cells, traced as its build did; see `runtime.variant.DensePsf`."""
 
-    def dense_psf(cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+    database: Database
+    by_rows: bool = False
+
+    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
+        from precompute.light_tracing import trace_psf
+
+        grid = self.database.grid
         return trace_psf(
-            database.grid.model,
-            database.grid.box(cell) * scale,
-            direction=float(database.directions(cell)[direction]),
-            direction_half_width=database.grid.direction_half_width(cell),
+            grid.model,
+            grid.box(cell) * scale,
+            direction=float(self.database.directions(cell)[direction]),
+            direction_half_width=grid.direction_half_width(cell),
         )
-
-    return dense_psf

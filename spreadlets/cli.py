@@ -102,7 +102,7 @@ def info(database: str, plot: str | None, as_json: bool) -> None:
     "--method",
     default="spreadlets",
     show_default=True,
-    help="spreadlets, dense (PSFs drawn in full) or gather (filtering).",
+    help="spreadlets, dense or dense-rows (PSFs drawn in full), or gather (filtering).",
 )
 @click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
 @click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")

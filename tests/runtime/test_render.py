@@ -1,5 +1,7 @@
 """The whole runtime on frames small enough to know the answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reference import capsule_psf, disc_coverage
@@ -155,6 +157,78 @@ def test_sparse_and_dense_agree(small_combined):
     assert sparse.mean() == pytest.approx(dense.mean(), rel=1e-3)
 
 
+def test_differences_along_rows_sum_up_to_the_psf_whichever_way_it_is_turned(small_combined):
+    frame = spot_frame(32, 32, 9.0, (-4.0, 10.0))
+    dense = synthesize_any(frame, CAMERA, small_combined, method="dense")
+    rows, report = synthesize_any(frame, CAMERA, small_combined, method="dense-rows", report=True)
+    assert psf_l1(dense[..., 0], rows[..., 0]) < 0.02
+    assert report["plan"]["points_splatted"] > 0 and rows.mean() == pytest.approx(dense.mean(), rel=1e-5)
+
+
+def frame_with(coc=9.0, path=(10.0, 6.0)):
+    """A textured frame of one label."""
+    frame = spot_frame(32, 32, coc, path)
+    return Frame(np.random.default_rng(1).random((SIZE, SIZE, 3)), frame.depth, frame.motion)
+
+
+def test_an_empty_pixel_is_not_drawn_and_changes_nothing(small_combined):
+    frame = frame_with()
+    radiance = np.dstack([frame.radiance[..., :3], np.ones((SIZE, SIZE))]).astype(np.float32)
+    radiance[20:40, 10:30] = 0
+    faint = radiance.copy()
+    faint[20:40, 10:30, :3] = 1e-30
+    lean, report = synthesize(Frame(radiance, frame.depth, frame.motion), CAMERA, small_combined, tolerance=0.0)
+    full, drawn = synthesize(Frame(faint, frame.depth, frame.motion), CAMERA, small_combined, tolerance=0.0)
+    assert report["plan"]["pixels_skipped"] == 400 and drawn["plan"]["pixels_skipped"] == 0
+    assert np.allclose(lean, full, atol=1e-6)
+
+
+@pytest.mark.parametrize(("effect", "labels"), [("motion", {"path": (0.0, 0.0)}), ("defocus", {"coc": 0.0})])
+def test_an_effect_that_no_pixel_shows_can_as_well_be_switched_off(small_combined, effect, labels):
+    frame = frame_with(**labels)
+    lean, report = synthesize(frame, CAMERA, small_combined)
+    off, _ = synthesize(frame, CAMERA, small_combined, **{effect: False})
+    assert effect in report["plan"]["left_out"] and np.array_equal(lean, off)
+
+
+def test_without_sparse_pixels_the_solver_is_not_needed(small_combined):
+    frame = frame_with(coc=1.0, path=(0.0, 0.0))
+    lean, report = synthesize(frame, CAMERA, small_combined)
+    depth = frame.depth.copy()
+    depth[0, 0] = depth_of(9.0)
+    full, needed = synthesize(Frame(frame.radiance, depth), CAMERA, small_combined)
+    assert "sparse image" in report["plan"]["left_out"] and report["time_s"]["integrate"] == 0.0
+    assert "sparse image" not in needed["plan"]["left_out"] and needed["time_s"]["integrate"] > 0.0
+    assert np.allclose(full[30:, 30:], lean[30:, 30:], atol=1e-4)
+
+
+def test_without_direct_pixels_there_is_no_direct_image(small_combined):
+    lean, report = synthesize(frame_with(), CAMERA, small_combined)
+    frame = frame_with()
+    depth, motion = frame.depth.copy(), frame.motion.copy()
+    depth[0, 0], motion[0, 0] = CAMERA.focus_distance_m, 0.0
+    full, needed = synthesize(Frame(frame.radiance, depth, motion), CAMERA, small_combined)
+    assert "direct image" in report["plan"]["left_out"] and "direct image" not in needed["plan"]["left_out"]
+    assert np.allclose(full[40:, 40:], lean[40:, 40:], atol=1e-4)
+
+
+def test_a_centred_shutter_needs_no_sub_pixel_placement(small_combined):
+    frame = frame_with()
+    centred, report = synthesize(frame, CAMERA, small_combined, tolerance=0.0)
+    nearly, needed = synthesize(frame, replace(CAMERA, shutter=(-0.2500001, 0.25)), small_combined, tolerance=0.0)
+    assert "sub-pixel placement" in report["plan"]["left_out"]
+    assert "sub-pixel placement" not in needed["plan"]["left_out"]
+    assert np.allclose(centred, nearly, atol=1e-4)
+
+
+def test_no_pixel_beyond_the_range_needs_no_scaled_psf(small_combined):
+    at_the_end, report = synthesize(frame_with(coc=11.999), CAMERA, small_combined)
+    with pytest.warns(UserWarning, match="beyond the database's range"):
+        beyond, needed = synthesize(frame_with(coc=12.001), CAMERA, small_combined)
+    assert "scaled PSFs" in report["plan"]["left_out"] and "scaled PSFs" not in needed["plan"]["left_out"]
+    assert np.abs(at_the_end - beyond).max() < 0.05
+
+
 def test_more_cycles_come_closer_to_the_exact_solution(small_combined):
     frame = spot_frame(32, 32, 9.0, (10.0, 6.0))
     exact, _ = synthesize(frame, CAMERA, small_combined, integrator="exact")
@@ -226,7 +300,9 @@ def test_scaling_keeps_the_moments(small_combined):
 
 
 def test_an_unknown_method_is_named(small_combined):
-    with pytest.raises(InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense, gather"):
+    with pytest.raises(
+        InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense, dense-rows, gather"
+    ):
         synthesize_any(spot_frame(3, 3, 1.0), CAMERA, small_combined, method="magic")
 
 
