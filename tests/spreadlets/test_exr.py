@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from spreadlets import exr
+from spreadlets import exr, exr_file
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.frame import Frame
 from spreadlets.metrics import display_encode
@@ -304,8 +304,8 @@ def test_missing_and_ambiguous_channels_list_what_is_there_and_name_the_option(p
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"depth_convention": "metres"}, "depth_convention is 'metres'; allowed are planar, inverse"),
-        ({"motion_convention": "up"}, "motion_convention is 'up'; allowed are blender, forward-px"),
+        ({"depth_convention": "metres"}, "depth_convention is 'metres'; allowed are planar, ray, inverse"),
+        ({"motion_convention": "up"}, "motion_convention is 'up'; allowed are blender, curved-px"),
         ({"motion_convention": "blender", "motion_channels": ("R", "G")}, "names 2 channels; .* blender takes 4"),
     ],
 )
@@ -399,7 +399,7 @@ def test_other_files_are_refused(path):
 
 def test_a_file_beyond_the_limit_is_refused_before_its_pixels_are_read(path, monkeypatch):
     write(path, planes("R", "G", "B"))
-    monkeypatch.setattr(exr, "MAX_VALUES", 3 * SHAPE[0] * SHAPE[1] - 1)
+    monkeypatch.setattr(exr_file, "MAX_VALUES", 3 * SHAPE[0] * SHAPE[1] - 1)
     with pytest.raises(InvalidFileError, match="holds 105 values .* at most 104"):
         exr.read_image(path)
 
