@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from spreadlets.exr import write_image as write_image
     from spreadlets.exr import write_png as write_png
     from spreadlets.frame import Frame as Frame
+    from spreadlets.sample_buffer import SampleBuffer as SampleBuffer
+    from spreadlets.sample_files import read_samples as read_samples
+    from spreadlets.sample_files import write_samples as write_samples
+    from spreadlets.tlfr import write_tlfr as write_tlfr
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
@@ -32,5 +36,8 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "database": ["Database", "open_database"],
         "exr": ["read_frame", "read_image", "write_frame", "write_image", "write_png"],
         "frame": ["Frame"],
+        "sample_buffer": ["SampleBuffer"],
+        "sample_files": ["read_samples", "write_samples"],
+        "tlfr": ["write_tlfr"],
     },
 )
