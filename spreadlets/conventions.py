@@ -125,6 +125,9 @@ DEPTH_CONVENTIONS: Mapping[str, tuple[DepthMap, DepthMap]] = {
 1 over the planar depth, and ``disparity`` the shift in px between the two images of a parallel stereo pair.
 """
 
+RECIPROCAL_DEPTH = frozenset({"inverse", "disparity"})
+"""Depth conventions whose values fall with distance."""
+
 
 def planar_depth(convention: str, values: FloatArray, scale: Scale) -> FloatArray:
     """Return planar depth in metres from the values of a depth channel.
@@ -153,6 +156,32 @@ def planar_depth(convention: str, values: FloatArray, scale: Scale) -> FloatArra
 def stored_depth(convention: str, depth: FloatArray, scale: Scale) -> FloatArray:
     """Return the values of a depth channel from planar depth in metres, (H, W) float32: undoes `planar_depth`."""
     return np.asarray(DEPTH_CONVENTIONS[convention][1](depth / np.float32(scale.depth_scale), scale), np.float32)
+
+
+def planar_samples(
+    convention: str, values: FloatArray, pixel: npt.NDArray[np.int64], shape: tuple[int, int], scale: Scale
+) -> FloatArray:
+    """Return planar depth in metres of samples that lie in the pixels of an image.
+
+    Parameters
+    ----------
+    convention, scale
+        As for `planar_depth`.
+    values : ndarray of shape (N,), float32
+        Stored depths.
+    pixel : ndarray of shape (N,), int64
+        The pixel of each, in row-major order.
+    shape : tuple of int
+        Height and width of the image.
+
+    Returns
+    -------
+    ndarray of shape (N,), float32
+    """
+    # Every convention is linear in the stored value or in 1 over it, with a factor for each pixel.
+    factor = planar_depth(convention, np.ones(shape, np.float32), scale).ravel()[pixel]
+    with np.errstate(divide="ignore"):
+        return np.asarray(factor / values if convention in RECIPROCAL_DEPTH else factor * values, np.float32)
 
 
 # --- Motion --------------------------------------------------------------------------------------------------------
@@ -275,7 +304,9 @@ UNIT: ``px`` per frame; ``ndc`` -1..1 and ``uv`` 0..1 over the image; ``norm`` (
 """
 
 
-def motion_labels(name: str, channels: FloatArray, depth: FloatArray, scale: Scale) -> dict[str, FloatArray]:
+def motion_labels(
+    name: str, channels: FloatArray, depth: FloatArray, scale: Scale, shape: tuple[int, int] | None = None
+) -> dict[str, FloatArray]:
     """Return the motion arrays that a convention defines, by the names of `Frame`'s parameters.
 
     Parameters
@@ -288,6 +319,8 @@ def motion_labels(name: str, channels: FloatArray, depth: FloatArray, scale: Sca
         Planar depth in metres, for velocities in space.
     scale : Scale
         Camera and largest displacement, as far as the convention needs them.
+    shape : tuple of int, optional
+        Height and width of the image, if the arrays hold something else than its pixels.
 
     Returns
     -------
@@ -301,10 +334,12 @@ def motion_labels(name: str, channels: FloatArray, depth: FloatArray, scale: Sca
     """
     convention = MOTION_CONVENTIONS[name]
     if convention.unit == "space":
+        if shape is not None:
+            raise InvalidParameterError(f"motion_convention {name} is for flat images only")
         return {"motion": _projected(channels, depth, scale)}
     unit = MOTION_UNITS[convention.unit]
     values = channels if unit == MotionUnit() else np.float32(unit.step) * channels - np.float32(unit.zero)
-    factors = _px_per_unit(name, channels.shape[:2], scale)
+    factors = _px_per_unit(name, shape or channels.shape[:2], scale)
     return {label: _combined(values, matrix) * factors for label, matrix in convention.rows.items()}
 
 

@@ -23,12 +23,15 @@ from spreadlets.conventions import (
     check_choice,
     motion_labels,
     planar_depth,
+    planar_samples,
     stored_depth,
     stored_motion,
 )
-from spreadlets.errors import AmbiguousInputWarning, InvalidFrameError, InvalidParameterError
+from spreadlets.deep import DEFAULT_LAYERS, deep_image
+from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.exr_file import (
     Image,
+    Part,
     PathLike,
     atomic_path,
     check_same_window,
@@ -41,7 +44,7 @@ from spreadlets.exr_file import (
 )
 from spreadlets.frame import FloatArray, Frame, Layer, image_array
 from spreadlets.metrics import display_encode
-from spreadlets.recognise import ReadOptions, depth_warning, find_colour, find_depth, find_motion
+from spreadlets.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -79,6 +82,7 @@ def read_frame(
     depth_scale: float = 1.0,
     baseline_m: float | None = None,
     max_displacement: float | None = None,
+    max_layers: int = DEFAULT_LAYERS,
     repair: bool = False,
 ) -> Frame:
     """Read a frame of labelled pixels from OpenEXR files.
@@ -86,8 +90,8 @@ def read_frame(
     Parameters
     ----------
     paths : path or sequence of paths
-        One file is a whole frame, or depth layers if each of its parts holds R, G, B, A and Z. Several files are depth
-        layers, nearest first, premultiplied by alpha.
+        One file is a whole frame, or depth layers if each of its parts holds R, G, B, A and Z, or a deep image, whose
+        samples become layers. Several files are depth layers, nearest first, premultiplied by alpha.
     preset : str, optional
         The renderer that wrote the file, a key of `conventions.PRESETS`; by default all their channel names are
         looked for.
@@ -111,6 +115,8 @@ def read_frame(
         Distance of the two cameras in metres; needed for disparity.
     max_displacement : float, optional
         Motion in px that the end of the range stands for; needed for normalised motion.
+    max_layers : int
+        Most depth layers that are made of a deep image, see `deep.DeepImage.layers`.
     repair : bool
         Drop pixels with invalid values instead of raising, see `Frame`.
 
@@ -146,7 +152,7 @@ def read_frame(
         scale=Scale(camera, depth_scale, baseline_m, max_displacement),
     )
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    layers = [_read_layer(image, options, repair) for path in files for image in layer_images(path)]
+    layers = [layer for path in files for layer in _read_file(path, options, repair, max_layers)]
     return layers[0] if len(layers) == 1 else Frame.from_layers(layers)
 
 
@@ -293,13 +299,59 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
 # --- Reading -------------------------------------------------------------------------------------------------------
 
 
-def layer_images(path: PathLike) -> list[Image]:
-    """Return a file's depth layers: one per part if each part holds R, G, B, A and Z, else one from all parts."""
-    parts = read_parts(path)
+def _read_file(path: PathLike, options: ReadOptions, repair: bool, max_layers: int) -> list[Frame]:
+    """Return a file's depth layers: its parts, or those of a deep image, or one from all parts together."""
+    parts = read_parts(path, deep=True)
+    deep = [part for part in parts if part.deep]
+    if len(deep) > 1:
+        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts; one can be read")
+    if deep:
+        return [_read_deep(path, deep[0], options, repair, max_layers)]
+    return [_read_layer(image, options, repair) for image in layer_images(path, parts)]
+
+
+def layer_images(path: PathLike, parts: Sequence[Part]) -> list[Image]:
+    """Return the images of a file: its parts if each holds R, G, B, A and Z, else one of all channels together."""
     one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
     if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
         return [Image(path, part.planes, part.display) for part in parts]
     return [merged(path, parts)]
+
+
+def _read_deep(path: PathLike, part: Part, options: ReadOptions, repair: bool, max_layers: int) -> Frame:
+    """Return the depth layers of a deep part."""
+    image = Image(path, part.planes, part.display)
+    colour = find_colour(image, options)
+    if len(colour) < 4:
+        raise image.problem("lacks alpha, which deep samples need", "colour_layer")
+    depth, motion = find_depth(image, colour, options), find_motion(image, options)
+    names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
+    check_same_window(image, [name for group in names.values() for name in group])
+    _warn(image, depth.doubt, motion.doubt if motion else "")
+    shape = part.display.height, part.display.width
+
+    try:
+        samples, dropped = deep_image(
+            part,
+            names,
+            to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, options.scale),
+            to_motion=lambda channels: _mean_motion(motion, channels, shape, options.scale),
+            unpremultiplied=options.unpremultiplied,
+            repair=repair,
+        )
+        if dropped:
+            warnings.warn(f"{path}: {dropped} invalid deep samples were dropped", stacklevel=4)
+        return samples.layers(max_layers)
+    except (InvalidFrameError, InvalidParameterError) as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, int], scale: Scale) -> FloatArray:
+    """Return the motion of samples, (N, n) to (N, 2) in px per frame; of a curved path the mean."""
+    assert found is not None  # only called where there are channels
+    labels = motion_labels(found.convention, channels[None], channels[None], scale, shape)
+    values = labels["motion"] if "motion" in labels else 0.5 * (labels["motion_prev"] + labels["motion_next"])
+    return np.asarray(values[0], np.float32)
 
 
 def _read_layer(image: Image, options: ReadOptions, repair: bool) -> Frame:

@@ -21,12 +21,15 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.errors import InvalidFileError
+from spreadlets.exr_chunks import deep_sample_bytes
 from spreadlets.frame import FloatArray
 
 PathLike = str | os.PathLike[str]
 
 MAX_VALUES = 1 << 30
 """Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
+
+FLOAT_BYTES = 4
 
 LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
 """What the OpenEXR binding raises on files and headers that it cannot handle."""
@@ -61,6 +64,7 @@ class Part:
     planes: Mapping[str, Plane]
     display: Window
     view: str
+    deep: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +94,23 @@ def merged(path: PathLike, parts: Sequence[Part]) -> Image:
     return Image(path, planes, parts[0].display)
 
 
-def read_parts(path: PathLike) -> list[Part]:
-    """Return every channel of a file as stored, after checking what the header promises."""
-    if not os.path.isfile(path):
-        raise InvalidFileError(f"{path}: there is no such file")
-    header, _ = _open(path, header_only=True)
-    _check_headers(path, [part.header for part in header.parts])
+def read_parts(path: PathLike, *, deep: bool = False) -> list[Part]:
+    """Return every channel of a file as stored, after checking what the header promises.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    deep : bool
+        Whether deep scanlines are allowed: their planes hold an array, or None, for each pixel.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file is missing, malformed, truncated, too large, or deep where that is not allowed.
+    """
+    headers = read_headers(path)
+    _check_headers(path, headers, deep)
     file, messages = _open(path, header_only=False)
     parts = [
         Part(
@@ -106,13 +121,27 @@ def read_parts(path: PathLike) -> list[Part]:
             },
             _window(part.header["displayWindow"]),
             str(part.header.get("view", "")),
+            is_deep(part.header),
         )
         for part in file.parts
     ]
     # The binding skips parts that it fails to decode.
-    if len(parts) < len(header.parts) or not all(part.planes for part in parts):
+    if len(parts) < len(headers) or not all(part.planes for part in parts):
         raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
     return parts
+
+
+def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
+    """Return the header of each part; no pixel is read. Raises InvalidFileError if the file is missing or malformed."""
+    if not os.path.isfile(path):
+        raise InvalidFileError(f"{path}: there is no such file")
+    header, _ = _open(path, header_only=True)
+    return [part.header for part in header.parts]
+
+
+def is_deep(header: Mapping[str, Any]) -> bool:
+    """Tell whether a part's header is that of a deep image."""
+    return header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile)
 
 
 def _open(path: PathLike, *, header_only: bool) -> tuple[Any, list[str]]:
@@ -152,18 +181,22 @@ def library_messages() -> Iterator[list[str]]:
             messages += log.read().decode(errors="replace").splitlines()
 
 
-def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InvalidFileError before any pixel is read if a file is deep, or larger than `MAX_VALUES`."""
+def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], deep: bool) -> None:
+    """Raise InvalidFileError before any pixel is read if a file is larger than `MAX_VALUES`, or deep if not allowed."""
     total = 0
     for header in headers:
-        if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-            raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read")
+        if is_deep(header) and not deep:
+            raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read here")
+        if header.get("type") == OpenEXR.deeptile:
+            raise InvalidFileError(f"{path}: holds deep tiles; only deep scanlines can be read")
         data, display = _window(header["dataWindow"]), _window(header["displayWindow"])
         if min(*data[2:], *display[2:]) < 1:
             raise InvalidFileError(f"{path}: has an empty window")
         if display != _window(headers[0]["displayWindow"]):
             raise InvalidFileError(f"{path}: its parts have different display windows")
         total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
+    if any(is_deep(header) for header in headers):
+        total += deep_sample_bytes(path) // FLOAT_BYTES
     if total > MAX_VALUES:
         raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
 

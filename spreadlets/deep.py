@@ -1,0 +1,270 @@
+"""Deep images: any number of samples behind each other in a pixel, points and volumes, and their depth layers.
+
+Samples are read as OpenEXR's "Interpreting OpenEXR Deep Pixels" says: colours are premultiplied, Z is where a sample
+begins, ZBack where it ends, and a volume's light is absorbed and emitted evenly along its length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import OpenEXR
+
+from spreadlets._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, thin_pixels, tidy_pixels
+from spreadlets.errors import InvalidFrameError, InvalidParameterError
+from spreadlets.exr_file import Part, PathLike, atomic_path, library_messages, overlap
+from spreadlets.frame import ALPHA_TOLERANCE, FloatArray, Frame
+
+DEFAULT_LAYERS = 8
+"""Depth layers that are made of a deep image unless the caller says otherwise: each costs memory for a whole frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeepImage:
+    """Samples of a deep image, pixel by pixel.
+
+    Attributes
+    ----------
+    counts : ndarray of shape (H, W), int64
+        Samples in each pixel.
+    radiance : ndarray of shape (N, 4), float32
+        Premultiplied linear RGB and alpha of each sample by itself, in the pixels' row-major order.
+    depth, depth_back : ndarray of shape (N,), float32
+        Where the sample begins and ends, planar metres; equal for a surface.
+    motion : ndarray of shape (N, 2), float32, or None
+        px per frame, y down, forward.
+    """
+
+    counts: npt.NDArray[np.int64]
+    radiance: FloatArray
+    depth: FloatArray
+    depth_back: FloatArray
+    motion: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = int(self.counts.sum())
+        shapes = {"radiance": (n, 4), "depth": (n,), "depth_back": (n,)}
+        shapes |= {} if self.motion is None else {"motion": (n, 2)}
+        for name, shape in shapes.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise InvalidFrameError(f"{name} has shape {found}; the counts ask for {shape}")
+        for (name, what), bad in _problems(self.radiance, self.depth, self.depth_back, self.motion).items():
+            pixel = int(np.searchsorted(np.cumsum(self.counts), int(np.argmax(bad)), side="right"))
+            row, col = divmod(pixel, self.counts.shape[1])
+            raise InvalidFrameError(
+                f"{name} is {what} at {np.count_nonzero(bad)} of {bad.size} deep samples, first at "
+                f"(row {row}, col {col})"
+            )
+
+    def tidy(self) -> DeepImage:
+        """Return the image with samples sorted, split where others begin or end, and coinciding ones merged.
+
+        Returns
+        -------
+        DeepImage
+            In each pixel samples are nearest first and do not overlap.
+
+        Notes
+        -----
+        "Interpreting OpenEXR Deep Pixels", making an image tidy.
+        """
+        table, start = self._table(), self._start()
+        out = np.empty((3 * len(table), table.shape[1]))
+        counts = np.empty(self.counts.size, np.int64)
+        tidy_pixels(start, table, out, counts)
+        return self._of(out, 3 * start, counts)
+
+    def layers(self, max_layers: int = DEFAULT_LAYERS) -> Frame:
+        """Return a frame whose layer k holds every pixel's k-th sample from the front.
+
+        Parameters
+        ----------
+        max_layers : int
+            Most layers; in pixels with more samples, those closest together in 1 over the depth are composited.
+
+        Returns
+        -------
+        Frame
+            Depth is the middle of a volume. Composited nearest over farthest, the layers give the flattened image.
+        """
+        if max_layers < 1:
+            raise InvalidParameterError(f"max_layers is {max_layers}; it must be at least 1")
+        tidy = self.tidy()
+        table, start = tidy._table(), tidy._start()
+        counts = tidy.counts.ravel().copy()
+        thin_pixels(start, table, counts, max_layers)
+        return Frame.from_layers([self._layer(table, start, counts, k) for k in range(max(1, int(counts.max())))])
+
+    def _layer(self, table: npt.NDArray[np.float64], start: npt.NDArray[np.int64], counts: Any, k: int) -> Frame:
+        """Return the k-th sample of every pixel that has one."""
+        shape = self.counts.shape
+        values = np.zeros((self.counts.size, table.shape[1]), np.float32)
+        values[:, FRONT] = values[:, BACK] = np.inf
+        there = counts > k
+        values[there] = table[start[:-1][there] + k]
+        values = values.reshape(*shape, -1)
+        radiance = np.concatenate([values[..., COLOUR:LABELS], values[..., ALPHA, None]], axis=2)
+        depth = values[..., FRONT] + 0.5 * np.where(values[..., BACK] > values[..., FRONT], _length(values), 0)
+        return Frame(radiance, depth, None if self.motion is None else values[..., LABELS:])
+
+    def _table(self) -> npt.NDArray[np.float64]:
+        """Return the samples as the kernels take them: front, back, alpha, colour, labels."""
+        alpha = np.clip(self.radiance[:, 3:], 0, 1)
+        motion = [] if self.motion is None else [self.motion]
+        columns = [self.depth[:, None], self.depth_back[:, None], alpha, self.radiance[:, :3], *motion]
+        return np.concatenate(columns, axis=1).astype(np.float64)
+
+    def _start(self) -> npt.NDArray[np.int64]:
+        return np.concatenate([[0], np.cumsum(self.counts)]).astype(np.int64)
+
+    def _of(self, table: npt.NDArray[np.float64], start: npt.NDArray[np.int64], counts: Any) -> DeepImage:
+        """Return the image of the first samples of each pixel in a table."""
+        within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        kept = table[np.repeat(start[:-1], counts) + within].astype(np.float32)
+        return DeepImage(
+            counts.reshape(self.counts.shape),
+            np.concatenate([kept[:, COLOUR:LABELS], kept[:, ALPHA, None]], axis=1),
+            kept[:, FRONT],
+            kept[:, BACK],
+            None if self.motion is None else kept[:, LABELS:],
+        )
+
+
+def _problems(
+    radiance: FloatArray, depth: FloatArray, depth_back: FloatArray, motion: FloatArray | None
+) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
+    """Return which samples are bad, by the name of the array and what is wrong."""
+    alpha = radiance[:, 3]
+    checks: dict[tuple[str, str], Any] = {
+        ("radiance", "not finite"): ~np.isfinite(radiance).all(axis=1),
+        ("alpha", "outside 0 to 1"): (alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE),
+        ("depth", "NaN, zero or negative"): ~(depth > 0),
+        ("depth_back", "NaN or nearer than the depth"): ~(depth_back >= depth),
+        ("depth_back", "infinite behind a finite depth"): np.isinf(depth_back) & np.isfinite(depth),
+    }
+    if motion is not None:
+        checks["motion", "not finite"] = ~np.isfinite(motion).all(axis=1)
+    return {name: bad for name, bad in checks.items() if bad.any()}
+
+
+def _length(values: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):  # infinite less infinite, where there is no volume
+        return values[..., BACK] - values[..., FRONT]
+
+
+# --- Files ---------------------------------------------------------------------------------------------------------
+
+
+def write_deep(path: PathLike, image: DeepImage) -> None:
+    """Write a deep image as scanlines, which every program can read; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Where to write; an existing file is replaced.
+    image : DeepImage
+        Stored as 32-bit floats R, G, B, A, Z, ZBack and, if it has motion, motion.x, motion.y.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file cannot be written.
+    """
+    values = {name: image.radiance[:, index] for index, name in enumerate("RGBA")}
+    values |= {"Z": image.depth, "ZBack": image.depth_back}
+    if image.motion is not None:
+        values |= {"motion.x": image.motion[:, 0], "motion.y": image.motion[:, 1]}
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    with atomic_path(path, ".exr") as temporary, library_messages():
+        OpenEXR.File(header, {name: _pixels(flat, image.counts) for name, flat in values.items()}).write(str(temporary))
+
+
+def deep_image(
+    part: Part,
+    names: Mapping[str, Sequence[str]],
+    *,
+    to_planar: Callable[[FloatArray, npt.NDArray[np.int64]], FloatArray],
+    to_motion: Callable[[FloatArray], FloatArray],
+    unpremultiplied: bool = False,
+    repair: bool = False,
+) -> tuple[DeepImage, int]:
+    """Return the samples of a part of a deep file, in its display window; what adds nothing is left out.
+
+    Parameters
+    ----------
+    part : Part
+        Its planes hold an array, or None, for each pixel.
+    names : mapping of str to sequence of str
+        The channels that are colour (with alpha), depth, and motion, if there is any; ZBack beside the depth is found.
+    to_planar : callable
+        Makes planar metres of stored depths and the pixels that they are in.
+    to_motion : callable
+        Makes px per frame of motion channels, (N, n) to (N, 2).
+    unpremultiplied : bool
+        Multiply the colours by alpha.
+    repair : bool
+        Drop invalid samples instead of raising.
+
+    Returns
+    -------
+    image : DeepImage
+    dropped : int
+        How many invalid samples were dropped.
+    """
+    counts = _counts(part, names["depth"][0])
+    pixel = np.repeat(np.arange(counts.size), counts.ravel())
+    flat = {name: _flat(part, name, counts) for group in names.values() for name in group}
+    radiance = np.stack([flat[name] for name in names["colour"]], axis=1)
+    if unpremultiplied:
+        radiance[:, :3] *= radiance[:, 3:]
+    (depth_name,) = names["depth"]
+    back_name = depth_name + "Back"
+    with np.errstate(invalid="ignore"):
+        ends = [to_planar(flat[depth_name], pixel)]
+        ends.append(to_planar(_flat(part, back_name, counts), pixel) if back_name in part.planes else ends[0])
+        depth, depth_back = np.minimum(*ends), np.maximum(*ends)  # 1 over the depth turns them round
+    motion = to_motion(np.stack([flat[name] for name in names["motion"]], axis=1)) if "motion" in names else None
+    bad = np.zeros(len(depth), np.bool_)
+    visible = (radiance != 0).any(axis=1)
+    if repair:
+        bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
+    kept = visible & ~bad
+    counts = np.bincount(pixel[kept], minlength=counts.size).reshape(counts.shape)
+    image = DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], None if motion is None else motion[kept])
+    return image, int(np.count_nonzero(bad))
+
+
+def _pixels(flat: FloatArray, counts: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+    """Return a channel as the binding takes it: an array of an array for each pixel."""
+    pixels = np.empty(counts.size, object)
+    for index, values in enumerate(np.split(np.ascontiguousarray(flat, np.float32), np.cumsum(counts)[:-1])):
+        pixels[index] = values
+    return pixels.reshape(counts.shape)
+
+
+def _in_display(part: Part, name: str) -> npt.NDArray[Any]:
+    """Return a deep channel in the display window; None where there is no sample."""
+    plane = part.planes[name]
+    pixels = np.full((part.display.height, part.display.width), None, object)
+    target, source = overlap(part.display, plane.window)
+    pixels[target] = plane.pixels[source]
+    return pixels
+
+
+def _counts(part: Part, name: str) -> npt.NDArray[np.int64]:
+    pixels = _in_display(part, name)
+    sizes = [0 if values is None else len(values) for values in pixels.ravel()]
+    return np.array(sizes, np.int64).reshape(pixels.shape)
+
+
+def _flat(part: Part, name: str, counts: npt.NDArray[np.int64]) -> FloatArray:
+    """Return the samples of a channel in one array, in the pixels' order."""
+    if not counts.any():
+        return np.zeros(0, np.float32)
+    values = [values for values in _in_display(part, name).ravel() if values is not None]
+    return np.concatenate(values).astype(np.float32)

@@ -1,0 +1,343 @@
+"""Deep images: tidying against the document's own steps and against marching, and files through to depth layers."""
+
+import struct
+
+import numpy as np
+import OpenEXR
+import pytest
+from reference_deep import flatten, integrate
+from reference_deep import tidy as tidy_reference
+
+from spreadlets import exr, exr_file
+from spreadlets.camera import ThinLens
+from spreadlets.conventions import Scale, stored_depth
+from spreadlets.deep import DeepImage, write_deep
+from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.exr_chunks import deep_sample_bytes
+
+SHAPE = (4, 6)
+CAMERA = ThinLens(40, 32, 2.0, 3.0)
+
+
+def random_image(seed=0, *, volumes=True, motion=False, most=5, opaque=0.2):
+    """Samples on a lattice of depths, so that many begin, end or lie at the same place."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, most + 1, SHAPE)
+    n = counts.sum()
+    alpha = rng.random((n, 1))
+    alpha[rng.random((n, 1)) < opaque] = 1
+    front = 1 + 0.5 * rng.integers(0, 6, n)
+    length = 0.5 * rng.integers(0, 4, n) if volumes else np.zeros(n)
+    radiance = np.concatenate([rng.random((n, 3)) * alpha, alpha], axis=1)
+    arrays = [a.astype(np.float32) for a in (radiance, front, front + length)]
+    return DeepImage(counts, *arrays, rng.normal(size=(n, 2)).astype(np.float32) if motion else None)
+
+
+def pixels(image):
+    """Return the samples of each pixel as the reference takes them."""
+    ends = np.cumsum(image.counts)
+    rows = list(zip(image.depth, image.depth_back, image.radiance.astype(float), strict=True))
+    samples = [(float(z), float(back), colour[3], colour[:3]) for z, back, colour in rows]
+    return [samples[end - count : end] for end, count in zip(ends, image.counts.ravel(), strict=True)]
+
+
+def composited(frame):
+    colour = np.zeros((*frame.shape, 4))
+    for layer in reversed(frame.layers):
+        colour = layer.radiance + (1 - layer.radiance[..., 3:]) * colour
+    return colour
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tidying_is_the_documents(seed):
+    # Of three opaque samples at one place the document's pairs give unequal shares; they are tested apart.
+    image = random_image(seed, opaque=0.0)
+    for found, samples in zip(pixels(image.tidy()), pixels(image), strict=True):
+        expected = tidy_reference(samples)
+        assert [s[:2] for s in found] == [s[:2] for s in expected]
+        np.testing.assert_allclose([s[2] for s in found], [s[2] for s in expected], rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(
+            [s[3] for s in found] or [[]], [s[3] for s in expected] or [[]], rtol=1e-5, atol=1e-7
+        )
+
+
+def test_tidying_with_opaque_samples_hides_what_is_behind():
+    image = random_image(3, opaque=0.5)
+    for found, samples in zip(pixels(image.tidy()), pixels(image), strict=True):
+        expected = tidy_reference(samples)
+        assert [s[:2] for s in found] == [s[:2] for s in expected]
+        np.testing.assert_allclose([s[2] for s in found], [s[2] for s in expected], rtol=1e-5)
+
+
+def one_pixel(*samples):
+    """Return an image of one pixel; a sample is (front, back, alpha, grey)."""
+    rows = np.array(samples, np.float32)
+    radiance = np.concatenate([np.repeat(rows[:, 3:], 3, axis=1), rows[:, 2:3]], axis=1)
+    return DeepImage(np.array([[len(rows)]]), radiance, rows[:, 0], rows[:, 1])
+
+
+def test_coinciding_opaque_samples_share_alike():
+    tidy = one_pixel((2, 2, 1, 0.3), (2, 2, 1, 0.6), (2, 2, 1, 0.9), (2, 2, 0.5, 9.0)).tidy()
+    assert tidy.counts.tolist() == [[1]]
+    np.testing.assert_allclose(tidy.radiance[0], (0.6, 0.6, 0.6, 1), rtol=1e-6)
+
+
+def test_a_sample_without_alpha_that_glows_keeps_its_light():
+    tidy = one_pixel((1, 3, 0.0, 0.8), (2, 2, 0.5, 0.1)).tidy()
+    np.testing.assert_allclose(tidy.radiance[:, 0], (0.4, 0.1, 0.4), rtol=1e-6)
+    assert tidy.radiance[:, 3].tolist() == [0, 0.5, 0]
+
+
+def test_overlapping_volumes_look_as_marching_through_them():
+    samples = [(1.0, 3.0, 0.7, 0.5), (2.0, 5.0, 0.4, 0.1), (2.5, 2.75, 0.9, 0.8)]
+    (tidy,) = pixels(one_pixel(*samples).tidy())
+    colour, alpha = integrate([(*sample[:3], np.full(3, sample[3])) for sample in samples])
+    found_colour, found_alpha = flatten(tidy)
+    np.testing.assert_allclose(found_colour, colour, rtol=1e-3)
+    np.testing.assert_allclose(found_alpha, alpha, rtol=1e-3)
+    assert found_alpha == pytest.approx(1 - 0.3 * 0.6 * 0.1, rel=1e-5)
+
+
+# --- Layers --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("volumes", [True, False])
+def test_layers_are_the_samples_in_order_and_flatten_to_the_image(volumes):
+    image = random_image(1, volumes=volumes, motion=True)
+    frame = image.layers(max_layers=100)
+    tidy = pixels(image.tidy())
+    assert len(frame.layers) == max(len(samples) for samples in tidy)
+    for k, layer in enumerate(frame.layers):
+        for index, samples in enumerate(tidy):
+            row, col = divmod(index, SHAPE[1])
+            if k < len(samples):
+                np.testing.assert_allclose(layer.depth[row, col], 0.5 * (samples[k][0] + samples[k][1]), rtol=1e-6)
+                np.testing.assert_allclose(layer.radiance[row, col, :3], samples[k][3], rtol=1e-6)
+            else:
+                assert np.isinf(layer.depth[row, col]) and not layer.radiance[row, col].any()
+    flat = [np.append(*flatten(samples)) for samples in tidy]
+    np.testing.assert_allclose(composited(frame).reshape(-1, 4), flat, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("max_layers", [1, 2, 3])
+def test_fewer_layers_flatten_to_the_same_image(max_layers):
+    image = random_image(2, motion=True)
+    frame = image.layers(max_layers)
+    assert len(frame.layers) == max_layers
+    np.testing.assert_allclose(composited(frame), composited(image.layers(100)), rtol=1e-5, atol=1e-6)
+
+
+def test_the_closest_neighbours_are_composited_first():
+    layers = one_pixel((2, 2, 0.5, 0.5), (10, 10, 0.5, 0.2), (11, 11, 1.0, 0.4)).layers(2).layers
+    assert layers[0].depth[0, 0] == 2 and layers[0].radiance[0, 0, 3] == 0.5
+    # 10 m is seen with .5, 11 m with .5 behind it.
+    np.testing.assert_allclose(layers[1].depth[0, 0], 10.5, rtol=1e-6)
+    np.testing.assert_allclose(layers[1].radiance[0, 0], (0.4, 0.4, 0.4, 1), rtol=1e-6)
+
+
+def test_composited_neighbours_share_their_motion_and_the_background_stays_far():
+    rows = {"depth": np.float32([3, np.inf]), "depth_back": np.float32([3, np.inf])}
+    for alpha, depth, motion in ((0.75, 3, 1.0), (0.25, np.inf, 3.0)):
+        radiance = np.float32([[alpha, alpha, alpha, alpha], [1, 1, 1, 1]])
+        image = DeepImage(np.array([[2]]), radiance, **rows, motion=np.float32([[0, 0], [4, 4]]))
+        (layer,) = image.layers(1).layers
+        assert layer.depth[0, 0] == depth
+        np.testing.assert_allclose(layer.motion[0, 0], motion, rtol=1e-6)
+
+
+def test_an_image_without_samples_is_one_empty_layer():
+    empty = DeepImage(np.zeros(SHAPE, np.int64), np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+    (layer,) = empty.layers().layers
+    assert not layer.radiance.any() and np.isinf(layer.depth).all()
+    with pytest.raises(InvalidParameterError, match="max_layers is 0"):
+        empty.layers(0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("radiance", np.nan, "radiance is not finite"),
+        ("depth", -1, "depth is NaN, zero or negative"),
+        ("depth_back", 0.5, "depth_back is NaN or nearer"),
+        ("depth_back", np.inf, "infinite behind a finite depth"),
+        ("motion", np.inf, "motion is not finite"),
+    ],
+)
+def test_bad_samples_are_named(name, value, message):
+    image = random_image(motion=True)
+    arrays = {key: getattr(image, key).copy() for key in ("radiance", "depth", "depth_back", "motion")}
+    pixel = int(np.flatnonzero(image.counts.ravel() > 1)[2])
+    arrays[name][image.counts.ravel()[:pixel].sum() + 1] = value
+    row, col = divmod(pixel, SHAPE[1])
+    with pytest.raises(InvalidFrameError, match=rf"{message}.* at 1 of .* first at \(row {row}, col {col}\)"):
+        DeepImage(image.counts, **arrays)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(InvalidFrameError, match=r"depth has shape \(2,\); the counts ask for \(3,\)"):
+        DeepImage(np.array([[3]]), np.ones((3, 4)), np.ones(2), np.ones(3))
+
+
+# --- Files ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", [True, False])
+def test_a_deep_file_becomes_the_layers_of_its_image(tmp_path, motion):
+    image = random_image(4, motion=motion)
+    write_deep(tmp_path / "deep.exr", image)
+    found, expected = exr.read_frame(tmp_path / "deep.exr"), image.layers()
+    assert len(found.layers) == len(expected.layers) > 2
+    for a, b in zip(found.layers, expected.layers, strict=True):
+        for name in ("radiance", "depth", "motion"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+        assert a.has_motion == motion
+    assert len(exr.read_frame(tmp_path / "deep.exr", max_layers=2).layers) == 2
+
+
+def write(path, channels, counts, **header):
+    stored = {}
+    for name, flat in channels.items():
+        stored[name] = np.empty(counts.shape, object)
+        for index, values in zip(np.ndindex(counts.shape), np.split(flat, np.cumsum(counts)[:-1]), strict=True):
+            stored[name][index] = values.astype(np.float32)
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION, **header}
+    OpenEXR.File(header, stored).write(str(path))
+    return path
+
+
+def channels(n, **changes):
+    values = {"R": 0.5, "G": 0.5, "B": 0.5, "A": 0.5, "Z": 3.0} | changes
+    return {name: np.broadcast_to(np.float32(value), n).copy() for name, value in values.items() if value is not None}
+
+
+def test_conventions_hold_for_deep_samples_too(tmp_path):
+    counts = np.full(SHAPE, 2)
+    planar = np.full(SHAPE, 5.0, np.float32)
+    options = {"camera": CAMERA, "depth_scale": 0.01, "baseline_m": 0.1}
+    for convention in ("planar", "ray", "inverse", "disparity"):
+        front, back = (np.repeat(stored_depth(convention, d * planar, Scale(**options)), 2) for d in (1, 1.2))
+        flat = channels(counts.sum(), Z=front, ZBack=back) | {
+            "velocity.R": np.full(48, 0.25, np.float32),
+            "velocity.G": np.full(48, -0.5, np.float32),
+        }
+        path = write(tmp_path / "deep.exr", flat, counts)
+        frame = exr.read_frame(path, depth_convention=convention, motion_convention="ndc", **options)
+        np.testing.assert_allclose(frame.layers[0].depth, 5.5, rtol=1e-6)
+        np.testing.assert_allclose(frame.layers[0].motion[0, 0], (0.25 * 3, 0.5 * 2), rtol=1e-6)
+
+
+def test_curved_motion_of_deep_samples_is_averaged(tmp_path):
+    vector = {f"Vector.{axis}": value for axis, value in zip("XYZW", (-3, 2, -5, 4), strict=True)}
+    path = write(tmp_path / "deep.exr", channels(24, **vector), np.ones(SHAPE, np.int64))
+    assert (exr.read_frame(path).layers[0].motion == (4, 3)).all()
+
+
+def test_a_cropped_deep_file_and_unpremultiplied_colours(tmp_path):
+    display = (np.array([0, 0], np.int32), np.array([7, 5], np.int32))
+    data = (np.array([1, 2], np.int32), np.array([6, 5], np.int32))
+    counts = np.ones(SHAPE, np.int64)
+    path = write(tmp_path / "deep.exr", channels(24), counts, displayWindow=display, dataWindow=data)
+    (layer,) = exr.read_frame(path, unpremultiplied=True).layers
+    assert layer.shape == (6, 8)
+    assert (layer.radiance[2:6, 1:7] == (0.25, 0.25, 0.25, 0.5)).all() and layer.radiance[..., 3].sum() == 12
+
+
+def test_bad_deep_samples_are_refused_or_dropped_and_empty_ones_ignored(tmp_path):
+    z = np.full(24, 3.0)
+    z[7] = -1
+    colours = {"R": np.where(np.arange(24) == 9, 0, 0.5), "A": np.where(np.arange(24) == 9, 0, 0.5)}
+    z[9] = -1  # nothing to see there
+    flat = channels(24, Z=z, **colours)
+    flat["G"][9] = flat["B"][9] = 0
+    path = write(tmp_path / "deep.exr", flat, np.ones(SHAPE, np.int64))
+    with pytest.raises(
+        InvalidFrameError, match=r"deep\.exr: depth .* at 1 of 23 deep samples, first at \(row 1,"
+    ):
+        exr.read_frame(path)
+    with pytest.warns(UserWarning, match="1 invalid deep samples were dropped"):
+        frame = exr.read_frame(path, repair=True)
+    assert np.count_nonzero(frame.layers[0].radiance[..., 3]) == 22
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"A": None}, "lacks alpha, which deep samples need"),
+        ({"Z": None}, "lacks a depth channel"),
+        ({"R": None}, "lacks colour channels"),
+    ],
+)
+def test_missing_deep_channels_are_named(tmp_path, changes, message):
+    path = write(tmp_path / "deep.exr", channels(24, **changes), np.ones(SHAPE, np.int64))
+    with pytest.raises(InvalidFileError, match=message):
+        exr.read_frame(path)
+
+
+def test_flat_readers_refuse_deep_files(tmp_path):
+    write_deep(tmp_path / "deep.exr", random_image())
+    with pytest.raises(InvalidFileError, match="holds a deep image; only flat images can be read here"):
+        exr.read_image(tmp_path / "deep.exr")
+
+
+def test_velocities_in_space_are_for_flat_images(tmp_path):
+    path = write(
+        tmp_path / "deep.exr",
+        channels(24, **{f"dPdtime.{c}": 1.0 for c in "rgb"}),
+        np.ones(SHAPE, np.int64),
+    )
+    with pytest.raises(InvalidParameterError, match="camera-velocity is for flat images only"):
+        exr.read_frame(path, camera=CAMERA, motion_convention="camera-velocity")
+
+
+# --- Sizes before memory -------------------------------------------------------------------------------------------
+
+
+def test_the_size_of_the_samples_is_known_before_they_are_read(tmp_path, monkeypatch):
+    image = random_image(5, motion=True)
+    write_deep(tmp_path / "deep.exr", image)
+    n_bytes = 8 * 4 * int(image.counts.sum())
+    assert deep_sample_bytes(tmp_path / "deep.exr") == n_bytes
+    limit = 8 * image.counts.size + n_bytes // 4
+    monkeypatch.setattr(exr_file, "MAX_VALUES", limit - 1)
+    with pytest.raises(InvalidFileError, match=f"holds {limit} values"):
+        exr.read_frame(tmp_path / "deep.exr")
+    monkeypatch.setattr(exr_file, "MAX_VALUES", limit)
+    exr.read_frame(tmp_path / "deep.exr")
+
+
+def test_only_the_deep_part_of_a_file_of_several_parts_counts(tmp_path):
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION, "name": "deep"}
+    counts = np.ones(SHAPE, np.int64)
+    path = write(tmp_path / "one.exr", channels(24), counts)
+    deep = OpenEXR.File(str(path), separate_channels=True).parts[0].channels
+    flat = {"R": np.ones(SHAPE, np.float32)}
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": "flat"}, flat)]
+    parts.append(OpenEXR.Part(header, {name: channel.pixels for name, channel in deep.items()}))
+    OpenEXR.File(parts).write(str(tmp_path / "two.exr"))
+    assert deep_sample_bytes(tmp_path / "two.exr") == 5 * 24 * 4
+    assert (exr.read_frame(tmp_path / "two.exr").layers[0].depth == 3).all()
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.95])
+def test_truncated_deep_files_are_refused(tmp_path, share, capfd):
+    path = tmp_path / "deep.exr"
+    write_deep(path, random_image())
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(InvalidFileError) as error:
+        exr.read_frame(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("count", [-5, 2**31 - 1])
+def test_lies_about_the_number_of_chunks_are_refused(tmp_path, count):
+    path = tmp_path / "deep.exr"
+    write_deep(path, random_image())
+    content = path.read_bytes()
+    at = content.index(b"chunkCount\0int\0") + len(b"chunkCount\0int\0") + 4
+    path.write_bytes(content[:at] + struct.pack("<i", count) + content[at + 4 :])
+    with pytest.raises(InvalidFileError):
+        deep_sample_bytes(path)
+    with pytest.raises(InvalidFileError):
+        exr.read_frame(path)
