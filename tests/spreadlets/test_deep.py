@@ -250,9 +250,7 @@ def test_bad_deep_samples_are_refused_or_dropped_and_empty_ones_ignored(tmp_path
     flat = channels(24, Z=z, **colours)
     flat["G"][9] = flat["B"][9] = 0
     path = write(tmp_path / "deep.exr", flat, np.ones(SHAPE, np.int64))
-    with pytest.raises(
-        InvalidFrameError, match=r"deep\.exr: depth .* at 1 of 23 deep samples, first at \(row 1,"
-    ):
+    with pytest.raises(InvalidFrameError, match=r"deep\.exr: depth .* at 1 of 23 deep samples, first at \(row 1,"):
         exr.read_frame(path)
     with pytest.warns(UserWarning, match="1 invalid deep samples were dropped"):
         frame = exr.read_frame(path, repair=True)
