@@ -16,7 +16,8 @@ import OpenEXR
 
 from spreadlets._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, thin_pixels, tidy_pixels
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
-from spreadlets.exr_file import Part, PathLike, atomic_path, library_messages, overlap
+from spreadlets.exr_chunks import DeepPart
+from spreadlets.exr_file import PathLike, Window, atomic_path, library_messages
 from spreadlets.frame import ALPHA_TOLERANCE, FloatArray, Frame
 
 DEFAULT_LAYERS = 8
@@ -185,7 +186,9 @@ def write_deep(path: PathLike, image: DeepImage) -> None:
 
 
 def deep_image(
-    part: Part,
+    part: DeepPart,
+    data: Window,
+    display: Window,
     names: Mapping[str, Sequence[str]],
     *,
     to_planar: Callable[[FloatArray, npt.NDArray[np.int64]], FloatArray],
@@ -193,16 +196,18 @@ def deep_image(
     unpremultiplied: bool = False,
     repair: bool = False,
 ) -> tuple[DeepImage, int]:
-    """Return the samples of a part of a deep file, in its display window; what adds nothing is left out.
+    """Return the samples of a part of a deep file, in the display window; what adds nothing is left out.
 
     Parameters
     ----------
-    part : Part
-        Its planes hold an array, or None, for each pixel.
+    part : DeepPart
+        Samples in the data window.
+    data, display : Window
+        The part's windows.
     names : mapping of str to sequence of str
         The channels that are colour (with alpha), depth, and motion, if there is any; ZBack beside the depth is found.
     to_planar : callable
-        Makes planar metres of stored depths and the pixels that they are in.
+        Makes planar metres of stored depths and the pixels of the display window that they are in.
     to_motion : callable
         Makes px per frame of motion channels, (N, n) to (N, 2).
     unpremultiplied : bool
@@ -216,27 +221,39 @@ def deep_image(
     dropped : int
         How many invalid samples were dropped.
     """
-    counts = _counts(part, names["depth"][0])
-    pixel = np.repeat(np.arange(counts.size), counts.ravel())
-    flat = {name: _flat(part, name, counts) for group in names.values() for name in group}
-    radiance = np.stack([flat[name] for name in names["colour"]], axis=1)
+    shape = display.height, display.width
+    pixel = _display_pixels(part, data, display)
+    shown = pixel >= 0
+    radiance = np.stack([part.channels[name] for name in names["colour"]], axis=1)
     if unpremultiplied:
         radiance[:, :3] *= radiance[:, 3:]
     (depth_name,) = names["depth"]
-    back_name = depth_name + "Back"
-    with np.errstate(invalid="ignore"):
-        ends = [to_planar(flat[depth_name], pixel)]
-        ends.append(to_planar(_flat(part, back_name, counts), pixel) if back_name in part.planes else ends[0])
-        depth, depth_back = np.minimum(*ends), np.maximum(*ends)  # 1 over the depth turns them round
-    motion = to_motion(np.stack([flat[name] for name in names["motion"]], axis=1)) if "motion" in names else None
+    ends = [
+        to_planar(part.channels[name], pixel) for name in (depth_name, depth_name + "Back") if name in part.channels
+    ]
+    depth, depth_back = (
+        np.minimum(ends[0], ends[-1]),
+        np.maximum(ends[0], ends[-1]),
+    )  # 1 over the depth turns them round
+    motion = None
+    if "motion" in names:
+        motion = to_motion(np.stack([part.channels[name] for name in names["motion"]], axis=1))
+    visible = shown & (radiance != 0).any(axis=1)
     bad = np.zeros(len(depth), np.bool_)
-    visible = (radiance != 0).any(axis=1)
     if repair:
         bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
     kept = visible & ~bad
-    counts = np.bincount(pixel[kept], minlength=counts.size).reshape(counts.shape)
-    image = DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], None if motion is None else motion[kept])
-    return image, int(np.count_nonzero(bad))
+    counts = np.bincount(pixel[kept], minlength=shape[0] * shape[1]).reshape(shape)
+    labels = None if motion is None else motion[kept]
+    return DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], labels), int(np.count_nonzero(bad))
+
+
+def _display_pixels(part: DeepPart, data: Window, display: Window) -> npt.NDArray[np.int64]:
+    """Return the pixel of the display window that each sample is in, -1 outside."""
+    row = np.arange(data.height)[:, None] + data.top - display.top
+    col = np.arange(data.width)[None, :] + data.left - display.left
+    inside = (row >= 0) & (row < display.height) & (col >= 0) & (col < display.width)
+    return np.repeat(np.where(inside, row * display.width + col, -1).ravel(), part.counts.ravel())
 
 
 def _pixels(flat: FloatArray, counts: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
@@ -245,26 +262,3 @@ def _pixels(flat: FloatArray, counts: npt.NDArray[np.int64]) -> npt.NDArray[Any]
     for index, values in enumerate(np.split(np.ascontiguousarray(flat, np.float32), np.cumsum(counts)[:-1])):
         pixels[index] = values
     return pixels.reshape(counts.shape)
-
-
-def _in_display(part: Part, name: str) -> npt.NDArray[Any]:
-    """Return a deep channel in the display window; None where there is no sample."""
-    plane = part.planes[name]
-    pixels = np.full((part.display.height, part.display.width), None, object)
-    target, source = overlap(part.display, plane.window)
-    pixels[target] = plane.pixels[source]
-    return pixels
-
-
-def _counts(part: Part, name: str) -> npt.NDArray[np.int64]:
-    pixels = _in_display(part, name)
-    sizes = [0 if values is None else len(values) for values in pixels.ravel()]
-    return np.array(sizes, np.int64).reshape(pixels.shape)
-
-
-def _flat(part: Part, name: str, counts: npt.NDArray[np.int64]) -> FloatArray:
-    """Return the samples of a channel in one array, in the pixels' order."""
-    if not counts.any():
-        return np.zeros(0, np.float32)
-    values = [values for values in _in_display(part, name).ravel() if values is not None]
-    return np.concatenate(values).astype(np.float32)

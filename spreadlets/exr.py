@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,18 +30,23 @@ from spreadlets.conventions import (
 )
 from spreadlets.deep import DEFAULT_LAYERS, deep_image
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.exr_chunks import read_deep_part
 from spreadlets.exr_file import (
     Image,
-    Part,
     PathLike,
+    Plane,
     atomic_path,
+    check_headers,
     check_same_window,
     gather,
+    is_deep,
     library_messages,
     merged,
     overlap,
     part_header,
+    read_headers,
     read_parts,
+    window,
 )
 from spreadlets.frame import FloatArray, Frame, Layer, image_array
 from spreadlets.metrics import display_encode
@@ -301,38 +307,50 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
 
 def _read_file(path: PathLike, options: ReadOptions, repair: bool, max_layers: int) -> list[Frame]:
     """Return a file's depth layers: its parts, or those of a deep image, or one from all parts together."""
-    parts = read_parts(path, deep=True)
-    deep = [part for part in parts if part.deep]
-    if len(deep) > 1:
-        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts; one can be read")
-    if deep:
-        return [_read_deep(path, deep[0], options, repair, max_layers)]
-    return [_read_layer(image, options, repair) for image in layer_images(path, parts)]
+    headers = read_headers(path)
+    if any(is_deep(header) for header in headers):
+        return [_read_deep(path, headers, options, repair, max_layers)]
+    return [_read_layer(image, options, repair) for image in layer_images(path)]
 
 
-def layer_images(path: PathLike, parts: Sequence[Part]) -> list[Image]:
-    """Return the images of a file: its parts if each holds R, G, B, A and Z, else one of all channels together."""
+def layer_images(path: PathLike) -> list[Image]:
+    """Return the images of a flat file: its parts if each holds R, G, B, A and Z, else one of all channels together."""
+    parts = read_parts(path)
     one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
     if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
         return [Image(path, part.planes, part.display) for part in parts]
     return [merged(path, parts)]
 
 
-def _read_deep(path: PathLike, part: Part, options: ReadOptions, repair: bool, max_layers: int) -> Frame:
-    """Return the depth layers of a deep part."""
-    image = Image(path, part.planes, part.display)
+def deep_header(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> tuple[int, Image]:
+    """Return which part of a file is deep, and its channels without pixels, after checking what the headers promise."""
+    deep = [index for index, header in enumerate(headers) if is_deep(header)]
+    if len(deep) > 1:
+        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts; one can be read")
+    check_headers(path, headers, deep=True)
+    header = headers[deep[0]]
+    data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
+    planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
+    return deep[0], Image(path, planes, window(header["displayWindow"]))
+
+
+def _read_deep(
+    path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions, repair: bool, max_layers: int
+) -> Frame:
+    """Return the depth layers of a deep file."""
+    index, image = deep_header(path, headers)
     colour = find_colour(image, options)
     if len(colour) < 4:
         raise image.problem("lacks alpha, which deep samples need", "colour_layer")
     depth, motion = find_depth(image, colour, options), find_motion(image, options)
     names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
-    check_same_window(image, [name for group in names.values() for name in group])
     _warn(image, depth.doubt, motion.doubt if motion else "")
-    shape = part.display.height, part.display.width
-
+    shape = image.display.height, image.display.width
     try:
         samples, dropped = deep_image(
-            part,
+            read_deep_part(path, index),
+            image.planes[colour[0]].window,
+            image.display,
             names,
             to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, options.scale),
             to_motion=lambda channels: _mean_motion(motion, channels, shape, options.scale),

@@ -64,7 +64,6 @@ class Part:
     planes: Mapping[str, Plane]
     display: Window
     view: str
-    deep: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,34 +93,20 @@ def merged(path: PathLike, parts: Sequence[Part]) -> Image:
     return Image(path, planes, parts[0].display)
 
 
-def read_parts(path: PathLike, *, deep: bool = False) -> list[Part]:
-    """Return every channel of a file as stored, after checking what the header promises.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    deep : bool
-        Whether deep scanlines are allowed: their planes hold an array, or None, for each pixel.
-
-    Raises
-    ------
-    InvalidFileError
-        If the file is missing, malformed, truncated, too large, or deep where that is not allowed.
-    """
+def read_parts(path: PathLike) -> list[Part]:
+    """Return every channel of a flat file as stored, after checking what the header promises."""
     headers = read_headers(path)
-    _check_headers(path, headers, deep)
+    check_headers(path, headers)
     file, messages = _open(path, header_only=False)
     parts = [
         Part(
             part.name(),
             {
-                name: Plane(channel.pixels, _window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
+                name: Plane(channel.pixels, window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
                 for name, channel in part.channels.items()
             },
-            _window(part.header["displayWindow"]),
+            window(part.header["displayWindow"]),
             str(part.header.get("view", "")),
-            is_deep(part.header),
         )
         for part in file.parts
     ]
@@ -181,7 +166,7 @@ def library_messages() -> Iterator[list[str]]:
             messages += log.read().decode(errors="replace").splitlines()
 
 
-def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], deep: bool) -> None:
+def check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], *, deep: bool = False) -> None:
     """Raise InvalidFileError before any pixel is read if a file is larger than `MAX_VALUES`, or deep if not allowed."""
     total = 0
     for header in headers:
@@ -189,10 +174,10 @@ def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], deep: b
             raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read here")
         if header.get("type") == OpenEXR.deeptile:
             raise InvalidFileError(f"{path}: holds deep tiles; only deep scanlines can be read")
-        data, display = _window(header["dataWindow"]), _window(header["displayWindow"])
+        data, display = window(header["dataWindow"]), window(header["displayWindow"])
         if min(*data[2:], *display[2:]) < 1:
             raise InvalidFileError(f"{path}: has an empty window")
-        if display != _window(headers[0]["displayWindow"]):
+        if display != window(headers[0]["displayWindow"]):
             raise InvalidFileError(f"{path}: its parts have different display windows")
         total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
     if any(is_deep(header) for header in headers):
@@ -201,7 +186,7 @@ def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], deep: b
         raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
 
 
-def _window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:
+def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:
     """Return an OpenEXR box, whose maximum is inclusive, as left, top, width, height."""
     (left, top), (right, bottom) = ((int(x), int(y)) for x, y in box)
     return Window(left, top, right - left + 1, bottom - top + 1)

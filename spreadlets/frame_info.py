@@ -10,8 +10,9 @@ import numpy as np
 
 from spreadlets.conventions import motion_labels, planar_depth
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.exr import layer_images
-from spreadlets.exr_file import Image, Part, PathLike, check_same_window, gather, is_deep, read_headers, read_parts
+from spreadlets.exr import deep_header, layer_images
+from spreadlets.exr_chunks import read_deep_part
+from spreadlets.exr_file import Image, PathLike, check_same_window, gather, is_deep, read_headers
 from spreadlets.frame import FloatArray
 from spreadlets.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
 from spreadlets.sample_buffer import SampleBuffer
@@ -59,17 +60,22 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
     parts = [_part_info(header) for header in headers]
     if all({"lens.u", "lens.v", "time"} <= set(part["channels"]) for part in parts):
         return _samples_info(path, parts)
-    stored = read_parts(path, deep=True)
-    size = stored[0].display
-    report: dict[str, Any] = {"kind": "frame", "width": size.width, "height": size.height, "parts": parts}
+    deep = any(part["type"] == "deep" for part in parts)
     warnings: list[str] = []
     problems: list[str] = []
-    deep = [part for part in stored if part.deep]
-    images = [Image(path, deep[0].planes, size)] if deep else layer_images(path, stored)
-    report["kind"] = "deep" if deep else "layers" if len(images) > 1 else "frame"
+    index, images = 0, []
     if deep:
-        report["samples_per_pixel"] = _deep_counts(deep[0])
-    report["layers"] = [_layer_info(image, options, warnings, problems, deep=bool(deep)) for image in images]
+        index, image = deep_header(path, headers)
+        images.append(image)
+    else:
+        images += layer_images(path)
+    size = images[0].display
+    kind = "deep" if deep else "layers" if len(images) > 1 else "frame"
+    report: dict[str, Any] = {"kind": kind, "width": size.width, "height": size.height, "parts": parts}
+    if deep:
+        counts = read_deep_part(path, index).counts
+        report["samples_per_pixel"] = [int(counts.min()), int(counts.max())]
+    report["layers"] = [_layer_info(image, options, warnings, problems, deep=deep) for image in images]
     return report | {"warnings": warnings, "problems": problems}
 
 
@@ -97,13 +103,6 @@ def _samples_info(path: PathLike, parts: list[dict[str, Any]]) -> dict[str, Any]
 
 def _dropped_warning(samples: SampleBuffer) -> list[str]:
     return [f"{samples.dropped_samples} samples are invalid"] if samples.dropped_samples else []
-
-
-def _deep_counts(part: Part) -> list[int]:
-    """Return the smallest and the largest number of samples in a pixel of a deep part."""
-    pixels = next(iter(part.planes.values())).pixels
-    sizes = [0 if values is None else len(values) for values in pixels.ravel()]
-    return [min(sizes), max(sizes)]
 
 
 def _layer_info(

@@ -13,7 +13,7 @@ from spreadlets.camera import ThinLens
 from spreadlets.conventions import Scale, stored_depth
 from spreadlets.deep import DeepImage, write_deep
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
-from spreadlets.exr_chunks import deep_sample_bytes
+from spreadlets.exr_chunks import deep_sample_bytes, read_deep_part
 
 SHAPE = (4, 6)
 CAMERA = ThinLens(40, 32, 2.0, 3.0)
@@ -285,6 +285,43 @@ def test_velocities_in_space_are_for_flat_images(tmp_path):
     )
     with pytest.raises(InvalidParameterError, match="camera-velocity is for flat images only"):
         exr.read_frame(path, camera=CAMERA, motion_convention="camera-velocity")
+
+
+@pytest.mark.parametrize("compression", ["NO_COMPRESSION", "RLE_COMPRESSION", "ZIPS_COMPRESSION"])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.uint32])
+def test_unpacking_is_the_librarys(tmp_path, compression, dtype):
+    rng = np.random.default_rng(1)
+    shape = (5, 9)
+    stored = {name: np.empty(shape, object) for name in ("A", "R", "Z")}
+    counts = rng.integers(0, 4, shape) * (rng.random(shape) > 0.3)
+    for index in np.ndindex(shape):
+        for name, plane in stored.items():  # A repeats itself, so that it packs; R does not
+            values = rng.random(counts[index]) * 1e4 if name == "R" else np.full(counts[index], 7)
+            plane[index] = values.astype(dtype)
+    header = {"type": OpenEXR.deepscanline, "compression": getattr(OpenEXR, compression)}
+    window = (np.array([2, 3], np.int32), np.array([10, 7], np.int32))
+    OpenEXR.File({**header, "dataWindow": window, "displayWindow": window}, stored).write(str(tmp_path / "deep.exr"))
+    expected = OpenEXR.File(str(tmp_path / "deep.exr"), separate_channels=True).parts[0].channels
+    found = read_deep_part(tmp_path / "deep.exr", 0)
+    np.testing.assert_array_equal(found.counts, counts)
+    for name, channel in expected.items():
+        values = [pixel for pixel in channel.pixels.ravel() if pixel is not None]
+        np.testing.assert_array_equal(found.channels[name], np.concatenate(values).astype(np.float32))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_damaged_deep_files_are_refused_or_read_but_nothing_else(tmp_path, seed):
+    path = tmp_path / "deep.exr"
+    write_deep(path, random_image())
+    content = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    for at in rng.integers(8, len(content), 3):
+        content[at] = rng.integers(256)
+    path.write_bytes(content)
+    try:
+        exr.read_frame(path, depth_convention="planar")
+    except (InvalidFileError, InvalidFrameError):
+        pass
 
 
 # --- Sizes before memory -------------------------------------------------------------------------------------------
