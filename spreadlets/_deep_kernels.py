@@ -1,4 +1,4 @@
-"""Numba kernels of deep pixels: tidying the samples of each pixel, and thinning them out.
+"""Numba kernels of deep pixels: tidying the samples of each pixel, and sorting them into depth layers.
 
 A table holds one sample per row: front, back, alpha, red, green, blue (premultiplied), then labels such as motion.
 Nothing here validates: the wrappers in ``deep`` do.
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+LayerArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 FRONT, BACK, ALPHA, COLOUR, LABELS = 0, 1, 2, 3, 6
@@ -135,48 +136,80 @@ def tidy_pixels(start: IntArray, table: FloatArray, out: FloatArray, count: IntA
 
 
 @numba.njit(cache=True, fastmath=False)
-def thin_pixel(table: FloatArray, count: int, most: int) -> int:
-    """Composite the neighbours that are closest together, in 1 over the depth, until few enough samples are left.
-
-    Parameters
-    ----------
-    table : float64 array of shape (at least count, n)
-        Tidy samples, nearest first; changed in place. A merged sample's depth and labels are means by visible alpha.
-    count, most : int
-        How many samples there are, and may be left.
-
-    Returns
-    -------
-    int
-        How many are left.
-    """
-    while count > most:
-        best, smallest = 0, math.inf
-        for i in range(count - 1):
-            gap = 2.0 / (table[i, FRONT] + table[i, BACK]) - 2.0 / (table[i + 1, FRONT] + table[i + 1, BACK])
-            if gap < smallest:
-                best, smallest = i, gap
-        near, far = table[best], table[best + 1]
-        seen = (1.0 - near[ALPHA]) * far[ALPHA]
-        total = near[ALPHA] + seen
-        weight = seen / total if total > 0.0 else 0.5
-        for k in range(COLOUR, LABELS):
-            near[k] += (1.0 - near[ALPHA]) * far[k]
-        for k in range(LABELS, table.shape[1]):
-            near[k] += weight * (far[k] - near[k])
-        if math.isfinite(far[BACK]):
-            near[FRONT] += weight * (far[FRONT] - near[FRONT])
-            near[BACK] += weight * (far[BACK] - near[BACK])
-        elif weight > 0.5:
-            near[FRONT], near[BACK] = far[FRONT], far[BACK]
-        near[ALPHA] = total
-        table[best + 1 : count - 1] = table[best + 2 : count].copy()
-        count -= 1
-    return count
+def composite(near: FloatArray, far: FloatArray) -> None:
+    """Put a nearer sample over a farther one; depth and labels become means by visible alpha. Changes `near`."""
+    seen = (1.0 - near[ALPHA]) * far[ALPHA]
+    total = near[ALPHA] + seen
+    weight = seen / total if total > 0.0 else 0.5
+    for k in range(COLOUR, LABELS):
+        near[k] += (1.0 - near[ALPHA]) * far[k]
+    for k in range(LABELS, near.size):
+        near[k] += weight * (far[k] - near[k])
+    if math.isfinite(far[BACK]):
+        near[FRONT] += weight * (far[FRONT] - near[FRONT])
+        near[BACK] += weight * (far[BACK] - near[BACK])
+    elif weight > 0.5:
+        near[FRONT], near[BACK] = far[FRONT], far[BACK]
+    near[ALPHA] = total
 
 
 @numba.njit(cache=True, fastmath=False)
-def thin_pixels(start: IntArray, table: FloatArray, count: IntArray, most: int) -> None:
-    """Thin out every pixel; `count`, an int64 array of shape (n_pixels,), is updated. See `thin_pixel`."""
-    for pixel in range(count.size):
-        count[pixel] = thin_pixel(table[start[pixel] : start[pixel + 1]], count[pixel], most)
+def collect_layers(start: IntArray, table: FloatArray, layer: IntArray, out: LayerArray) -> None:
+    """Composite the samples of each pixel that share a layer.
+
+    Parameters
+    ----------
+    start : int64 array of shape (n_pixels + 1,)
+        First row of each pixel in `table`.
+    table : float64 array of shape (N, n)
+        Tidy samples, nearest first; changed in place.
+    layer : int64 array of shape (N,)
+        The layer of each sample, ascending within a pixel.
+    out : float32 array of shape (n_layers, n_pixels, n)
+        Takes the layers; rows without a sample are left alone.
+    """
+    for pixel in range(start.size - 1):
+        i = start[pixel]
+        while i < start[pixel + 1]:
+            first = i
+            i += 1
+            while i < start[pixel + 1] and layer[i] == layer[first]:
+                composite(table[first], table[i])
+                i += 1
+            for k in range(table.shape[1]):
+                out[layer[first], pixel, k] = table[first, k]
+
+
+@numba.njit(cache=True, fastmath=False)
+def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, seam: FloatArray) -> None:
+    """Count, for every cut, the samples of a pixel that it parts from the nearest in depth of a neighbour's samples.
+
+    Parameters
+    ----------
+    bins : int64 array of shape (N,)
+        Samples' bins of 1 over the depth, descending within a pixel.
+    begin, end, other, other_end : int
+        The pixel's samples and the neighbour's.
+    seam : float64 array
+        Differences of the counts: a cut below bin t parts what is in t from what is in t - 1.
+    """
+    if other == other_end:
+        return
+    j = other
+    for i in range(begin, end):
+        while j + 1 < other_end and abs(bins[j + 1] - bins[i]) <= abs(bins[j] - bins[i]):
+            j += 1
+        seam[min(bins[i], bins[j]) + 1] += 0.5
+        seam[max(bins[i], bins[j]) + 1] -= 0.5
+
+
+@numba.njit(cache=True, fastmath=False)
+def seam_lengths(start: IntArray, bins: IntArray, width: int, seam: FloatArray) -> None:
+    """Add the seams between all neighbouring pixels of an image to `seam`; see `add_seams`."""
+    n_pixels = start.size - 1
+    for pixel in range(n_pixels):
+        for other in (pixel + 1, pixel + width):
+            if other >= n_pixels or (other == pixel + 1 and other % width == 0):
+                continue
+            add_seams(bins, start[pixel], start[pixel + 1], start[other], start[other + 1], seam)
+            add_seams(bins, start[other], start[other + 1], start[pixel], start[pixel + 1], seam)

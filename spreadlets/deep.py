@@ -14,14 +14,20 @@ import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
-from spreadlets._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, thin_pixels, tidy_pixels
+from spreadlets._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, collect_layers, seam_lengths, tidy_pixels
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
 from spreadlets.exr_chunks import DeepPart
 from spreadlets.exr_file import PathLike, Window, atomic_path, library_messages
 from spreadlets.frame import ALPHA_TOLERANCE, FloatArray, Frame
 
 DEFAULT_LAYERS = 8
-"""Depth layers that are made of a deep image unless the caller says otherwise: each costs memory for a whole frame."""
+"""Most depth layers that are made of a deep image unless the caller says otherwise: each costs memory for a frame."""
+
+CUT_BINS = 2048
+"""Places, evenly spaced in 1 over the depth, where layers may be cut."""
+
+SEAM_PRICE = 0.5
+"""Pairs of samples that a cut must part for each sample that it parts from a neighbour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,36 +87,39 @@ class DeepImage:
         return self._of(out, 3 * start, counts)
 
     def layers(self, max_layers: int = DEFAULT_LAYERS) -> Frame:
-        """Return a frame whose layer k holds every pixel's k-th sample from the front.
+        """Return a frame of depth layers, nearest first.
+
+        The image is cut at few depths, the same for all pixels, so that what lies behind each other in a pixel comes
+        into different layers, and what is one surface is seldom cut; see `layer_cuts`.
 
         Parameters
         ----------
         max_layers : int
-            Most layers; in pixels with more samples, those closest together in 1 over the depth are composited.
+            Most layers.
 
         Returns
         -------
         Frame
-            Depth is the middle of a volume. Composited nearest over farthest, the layers give the flattened image.
+            Samples of a pixel that share a layer are composited; depth and motion are means by visible alpha, the depth
+            of a volume is its middle. Composited nearest over farthest, the layers give the flattened image.
         """
         if max_layers < 1:
             raise InvalidParameterError(f"max_layers is {max_layers}; it must be at least 1")
         tidy = self.tidy()
         table, start = tidy._table(), tidy._start()
-        counts = tidy.counts.ravel().copy()
-        thin_pixels(start, table, counts, max_layers)
-        return Frame.from_layers([self._layer(table, start, counts, k) for k in range(max(1, int(counts.max())))])
+        inverse = 2 / (table[:, FRONT] + table[:, BACK])
+        cuts = layer_cuts(inverse, start, self.counts.shape[1], max_layers)
+        layer = (inverse[:, None] < cuts).sum(axis=1)
+        out = np.zeros((len(cuts) + 1, self.counts.size, table.shape[1]), np.float32)
+        out[..., FRONT] = out[..., BACK] = np.inf
+        collect_layers(start, table, layer, out)
+        return Frame.from_layers([self._layer(values) for values in out])
 
-    def _layer(self, table: npt.NDArray[np.float64], start: npt.NDArray[np.int64], counts: Any, k: int) -> Frame:
-        """Return the k-th sample of every pixel that has one."""
-        shape = self.counts.shape
-        values = np.zeros((self.counts.size, table.shape[1]), np.float32)
-        values[:, FRONT] = values[:, BACK] = np.inf
-        there = counts > k
-        values[there] = table[start[:-1][there] + k]
-        values = values.reshape(*shape, -1)
+    def _layer(self, values: FloatArray) -> Frame:
+        """Return one layer of the table that `collect_layers` fills."""
+        values = values.reshape(*self.counts.shape, -1)
         radiance = np.concatenate([values[..., COLOUR:LABELS], values[..., ALPHA, None]], axis=2)
-        depth = values[..., FRONT] + 0.5 * np.where(values[..., BACK] > values[..., FRONT], _length(values), 0)
+        depth = 0.5 * values[..., FRONT] + 0.5 * values[..., BACK]
         return Frame(radiance, depth, None if self.motion is None else values[..., LABELS:])
 
     def _table(self) -> npt.NDArray[np.float64]:
@@ -153,9 +162,61 @@ def _problems(
     return {name: bad for name, bad in checks.items() if bad.any()}
 
 
-def _length(values: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore"):  # infinite less infinite, where there is no volume
-        return values[..., BACK] - values[..., FRONT]
+def layer_cuts(
+    inverse: npt.NDArray[np.float64], start: npt.NDArray[np.int64], width: int, max_layers: int
+) -> npt.NDArray[np.float64]:
+    """Choose the depths at which a deep image is cut into layers.
+
+    Parameters
+    ----------
+    inverse : ndarray of shape (N,), float64
+        1 over the depth of each sample, descending within a pixel.
+    start : ndarray of shape (n_pixels + 1,), int64
+        First sample of each pixel.
+    width : int
+        Pixels in a row of the image.
+    max_layers : int
+        One more than the most cuts.
+
+    Returns
+    -------
+    ndarray of shape (n,), float64
+        Descending in 1 over the depth.
+
+    Notes
+    -----
+    A cut gains the pairs of neighbouring samples of a pixel that it is the first to part, and costs the seams that it
+    makes: samples that it parts from the nearest in depth of those in the next pixel. The best cut is taken, one after
+    the other, until none gains more than it costs. Our own; renderers' layers, made by object, are the model.
+    """
+    low, high = (float(inverse.min()), float(inverse.max())) if len(inverse) else (0.0, 0.0)
+    if not high > low:
+        return np.zeros(0)
+    bins = np.minimum((inverse - low) / (high - low) * CUT_BINS, CUT_BINS - 1).astype(np.int64)
+    seam = np.zeros(CUT_BINS + 1)
+    seam_lengths(start, bins, width, seam)
+    cost = SEAM_PRICE * np.cumsum(seam)
+    pixel = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    together = pixel[1:] == pixel[:-1]
+    near, far = bins[:-1][together], bins[1:][together]
+    cuts: list[int] = []
+    while len(cuts) < max_layers - 1:
+        gain = np.bincount(far + 1, minlength=CUT_BINS + 1) - np.bincount(near + 1, minlength=CUT_BINS + 1)
+        score = np.cumsum(gain) - cost
+        best = _middle_of_best(score)
+        if score[best] <= 0:
+            break
+        cuts.append(best)
+        parted = (far < best) & (near >= best)
+        near, far = near[~parted], far[~parted]
+    return low + np.array(sorted(cuts, reverse=True)) / CUT_BINS * (high - low)
+
+
+def _middle_of_best(score: npt.NDArray[np.float64]) -> int:
+    """Return the middle of the first run of largest values."""
+    first = int(np.argmax(score))
+    others = np.flatnonzero(score[first:] != score[first])
+    return first + (int(others[0]) if len(others) else len(score) - first) // 2
 
 
 # --- Files ---------------------------------------------------------------------------------------------------------

@@ -120,8 +120,14 @@ def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
     """Return the header of each part; no pixel is read. Raises InvalidFileError if the file is missing or malformed."""
     if not os.path.isfile(path):
         raise InvalidFileError(f"{path}: there is no such file")
-    header, _ = _open(path, header_only=True)
-    return [part.header for part in header.parts]
+    file, _ = _open(path, header_only=True)
+    headers = [part.header for part in file.parts]
+    try:
+        for header in headers:
+            [channel.name for channel in header["channels"]]  # the binding decodes them when they are asked for
+    except UnicodeDecodeError:
+        raise InvalidFileError(f"{path}: a channel's name is not text") from None
+    return headers
 
 
 def is_deep(header: Mapping[str, Any]) -> bool:

@@ -11,7 +11,7 @@ from reference_deep import tidy as tidy_reference
 from spreadlets import exr, exr_file
 from spreadlets.camera import ThinLens
 from spreadlets.conventions import Scale, stored_depth
-from spreadlets.deep import DeepImage, write_deep
+from spreadlets.deep import DeepImage, layer_cuts, write_deep
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.exr_chunks import deep_sample_bytes, read_deep_part
 
@@ -101,38 +101,96 @@ def test_overlapping_volumes_look_as_marching_through_them():
 # --- Layers --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("max_layers", [1, 2, 3, 8])
 @pytest.mark.parametrize("volumes", [True, False])
-def test_layers_are_the_samples_in_order_and_flatten_to_the_image(volumes):
+def test_layers_follow_each_other_in_depth_and_flatten_to_the_image(volumes, max_layers):
     image = random_image(1, volumes=volumes, motion=True)
-    frame = image.layers(max_layers=100)
-    tidy = pixels(image.tidy())
-    assert len(frame.layers) == max(len(samples) for samples in tidy)
-    for k, layer in enumerate(frame.layers):
-        for index, samples in enumerate(tidy):
-            row, col = divmod(index, SHAPE[1])
-            if k < len(samples):
-                np.testing.assert_allclose(layer.depth[row, col], 0.5 * (samples[k][0] + samples[k][1]), rtol=1e-6)
-                np.testing.assert_allclose(layer.radiance[row, col, :3], samples[k][3], rtol=1e-6)
-            else:
-                assert np.isinf(layer.depth[row, col]) and not layer.radiance[row, col].any()
-    flat = [np.append(*flatten(samples)) for samples in tidy]
-    np.testing.assert_allclose(composited(frame).reshape(-1, 4), flat, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("max_layers", [1, 2, 3])
-def test_fewer_layers_flatten_to_the_same_image(max_layers):
-    image = random_image(2, motion=True)
     frame = image.layers(max_layers)
-    assert len(frame.layers) == max_layers
-    np.testing.assert_allclose(composited(frame), composited(image.layers(100)), rtol=1e-5, atol=1e-6)
+    assert 1 <= len(frame.layers) <= max_layers
+    flat = [np.append(*flatten(samples)) for samples in pixels(image.tidy())]
+    np.testing.assert_allclose(composited(frame).reshape(-1, 4), flat, rtol=1e-5, atol=1e-6)
+    for near, far in zip(frame.layers[:-1], frame.layers[1:], strict=True):
+        nearest, farthest = far.depth.min(), near.depth[near.radiance[..., 3] > 0].max()
+        assert farthest < nearest
 
 
-def test_the_closest_neighbours_are_composited_first():
-    layers = one_pixel((2, 2, 0.5, 0.5), (10, 10, 0.5, 0.2), (11, 11, 1.0, 0.4)).layers(2).layers
-    assert layers[0].depth[0, 0] == 2 and layers[0].radiance[0, 0, 3] == 0.5
+def two_surfaces(front=2.0):
+    """Return a slanted floor behind a bar that leaves gaps, seen through it: two samples where the bar is."""
+    height, width = 16, 24
+    floor = np.broadcast_to(np.linspace(4, 12, height)[:, None], (height, width))
+    bar = np.zeros((height, width), bool)
+    bar[:, 5:10] = True
+    counts = 1 + bar.astype(np.int64)
+    depth = np.concatenate([[front, z] if b else [z] for b, z in zip(bar.ravel(), floor.ravel(), strict=True)])
+    alpha = np.concatenate([[0.5, 1.0] if b else [1.0] for b in bar.ravel()])
+    radiance = np.repeat(alpha[:, None], 4, axis=1).astype(np.float32)
+    depth = depth.astype(np.float32)
+    return DeepImage(counts, radiance, depth, depth), bar, floor.astype(np.float32)
+
+
+def test_a_surface_before_another_is_a_layer_and_neither_is_cut():
+    image, bar, floor = two_surfaces()
+    front, back = image.layers().layers
+    np.testing.assert_array_equal(front.radiance[..., 3], np.where(bar, 0.5, 0))
+    assert (front.depth[bar] == 2).all() and np.isinf(front.depth[~bar]).all()
+    np.testing.assert_allclose(back.depth, floor, rtol=1e-6)
+    assert (back.radiance[..., 3] == 1).all()
+
+
+def test_a_cut_that_costs_more_than_it_parts_is_not_made():
+    image, bar, floor = two_surfaces()
+    (layer,) = image.layers(1).layers
+    assert (layer.radiance[..., 3] == 1).all()
+    few = image.counts.cumsum().reshape(bar.shape)[3, 5] - 2  # keep the bar in one pixel only, near the floor's depth
+    kept = np.ones(len(image.depth), bool)
+    starts = np.concatenate([[0], np.cumsum(image.counts)])[:-1].reshape(bar.shape)
+    kept[starts[bar]] = False
+    kept[few] = True
+    counts = np.ones(bar.shape, np.int64)
+    counts[3, 5] = 2
+    depth = image.depth.copy()
+    depth[few] = 5.0  # parting it from the floor would cut the floor all along a row
+    one = DeepImage(counts, image.radiance[kept], depth[kept], depth[kept])
+    assert len(one.layers().layers) == 1
+
+
+def cuts_by_search(image):
+    """Return the best single cut by trying every one: pairs parted less half the samples parted from a neighbour's."""
+    samples = [[1 / s[0] for s in pixel] for pixel in pixels(image)]
+    low, high = min(min(p) for p in samples if p), max(max(p) for p in samples if p)
+    bins = [[min(int((v - low) / (high - low) * 2048), 2047) for v in p] for p in samples]
+    grid = np.empty(image.counts.shape, object)
+    for index, pixel in zip(np.ndindex(grid.shape), bins, strict=True):
+        grid[index] = pixel
+    scores = {}
+    for t in range(1, 2048):
+        score = sum(a >= t > b for p in bins for a, b in zip(p[:-1], p[1:], strict=True))
+        for a, b in [(grid[:, 1:], grid[:, :-1]), (grid[1:], grid[:-1])]:
+            for p, q in [*zip(a.ravel(), b.ravel(), strict=True), *zip(b.ravel(), a.ravel(), strict=True)]:
+                if q:
+                    nearest = [min(q, key=lambda v, x=x: (abs(v - x), v)) for x in p]
+                    score -= 0.25 * sum((x >= t) != (y >= t) for x, y in zip(p, nearest, strict=True))
+        scores[t] = score
+    best = max(scores.values())
+    return [low + t / 2048 * (high - low) for t, score in scores.items() if score == best], best
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_cut_is_found(seed):
+    image = random_image(seed, volumes=False, most=3).tidy()
+    inverse = 1 / image.depth.astype(np.float64)
+    start = np.concatenate([[0], np.cumsum(image.counts)])
+    cuts = layer_cuts(inverse, start, SHAPE[1], 2)
+    allowed, best = cuts_by_search(image)
+    assert (len(cuts) == 0) == (best <= 0)
+    assert all(np.isclose(cut, allowed).any() for cut in cuts)
+
+
+def test_samples_of_a_layer_are_composited():
+    (layer,) = one_pixel((10, 10, 0.5, 0.2), (11, 11, 1.0, 0.4)).layers(1).layers
     # 10 m is seen with .5, 11 m with .5 behind it.
-    np.testing.assert_allclose(layers[1].depth[0, 0], 10.5, rtol=1e-6)
-    np.testing.assert_allclose(layers[1].radiance[0, 0], (0.4, 0.4, 0.4, 1), rtol=1e-6)
+    np.testing.assert_allclose(layer.depth[0, 0], 10.5, rtol=1e-6)
+    np.testing.assert_allclose(layer.radiance[0, 0], (0.4, 0.4, 0.4, 1), rtol=1e-6)
 
 
 def test_composited_neighbours_share_their_motion_and_the_background_stays_far():
@@ -143,6 +201,11 @@ def test_composited_neighbours_share_their_motion_and_the_background_stays_far()
         (layer,) = image.layers(1).layers
         assert layer.depth[0, 0] == depth
         np.testing.assert_allclose(layer.motion[0, 0], motion, rtol=1e-6)
+
+
+def test_a_volume_lies_in_its_middle():
+    (layer,) = one_pixel((2, 4, 0.5, 0.2)).layers().layers
+    assert layer.depth[0, 0] == 3
 
 
 def test_an_image_without_samples_is_one_empty_layer():
@@ -186,12 +249,12 @@ def test_a_deep_file_becomes_the_layers_of_its_image(tmp_path, motion):
     image = random_image(4, motion=motion)
     write_deep(tmp_path / "deep.exr", image)
     found, expected = exr.read_frame(tmp_path / "deep.exr"), image.layers()
-    assert len(found.layers) == len(expected.layers) > 2
+    assert len(found.layers) == len(expected.layers) > 1
     for a, b in zip(found.layers, expected.layers, strict=True):
         for name in ("radiance", "depth", "motion"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
         assert a.has_motion == motion
-    assert len(exr.read_frame(tmp_path / "deep.exr", max_layers=2).layers) == 2
+    assert len(exr.read_frame(tmp_path / "deep.exr", max_layers=1).layers) == 1
 
 
 def write(path, channels, counts, **header):
