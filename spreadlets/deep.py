@@ -6,6 +6,7 @@ begins, ZBack where it ends, and a volume's light is absorbed and emitted evenly
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ import OpenEXR
 from spreadlets._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, collect_layers, seam_lengths, tidy_pixels
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
 from spreadlets.exr_chunks import DeepPart
-from spreadlets.exr_file import PathLike, Window, atomic_path, library_messages
+from spreadlets.exr_file import MAX_VALUES, PathLike, Window, atomic_path, library_messages
 from spreadlets.frame import ALPHA_TOLERANCE, FloatArray, Frame
 
 DEFAULT_LAYERS = 8
@@ -95,13 +96,18 @@ class DeepImage:
         Parameters
         ----------
         max_layers : int
-            Most layers.
+            Most layers, at least 1.
 
         Returns
         -------
         Frame
             Samples of a pixel that share a layer are composited; depth and motion are means by visible alpha, the depth
             of a volume is its middle. Composited nearest over farthest, the layers give the flattened image.
+
+        Raises
+        ------
+        InvalidParameterError
+            If `max_layers` is less than 1, or the layers would take too much memory.
         """
         if max_layers < 1:
             raise InvalidParameterError(f"max_layers is {max_layers}; it must be at least 1")
@@ -110,7 +116,12 @@ class DeepImage:
         inverse = 2 / (table[:, FRONT] + table[:, BACK])
         cuts = layer_cuts(inverse, start, self.counts.shape[1], max_layers)
         layer = (inverse[:, None] < cuts).sum(axis=1)
-        out = np.zeros((len(cuts) + 1, self.counts.size, table.shape[1]), np.float32)
+        shape = len(cuts) + 1, self.counts.size, table.shape[1]
+        if math.prod(shape) > MAX_VALUES:
+            raise InvalidParameterError(
+                f"{shape[0]} layers hold {math.prod(shape)} values; at most {MAX_VALUES} are made"
+            )
+        out = np.zeros(shape, np.float32)
         out[..., FRONT] = out[..., BACK] = np.inf
         collect_layers(start, table, layer, out)
         return Frame.from_layers([self._layer(values) for values in out])

@@ -8,7 +8,7 @@ import pytest
 from reference_deep import flatten, integrate
 from reference_deep import tidy as tidy_reference
 
-from spreadlets import exr, exr_file
+from spreadlets import deep, exr, exr_file
 from spreadlets.camera import ThinLens
 from spreadlets.conventions import Scale, stored_depth
 from spreadlets.deep import DeepImage, layer_cuts, write_deep
@@ -184,6 +184,12 @@ def test_the_best_cut_is_found(seed):
     allowed, best = cuts_by_search(image)
     assert (len(cuts) == 0) == (best <= 0)
     assert all(np.isclose(cut, allowed).any() for cut in cuts)
+
+
+def test_layers_that_take_too_much_memory_are_refused(monkeypatch):
+    monkeypatch.setattr(deep, "MAX_VALUES", 2 * 16 * 24 * 6 - 1)
+    with pytest.raises(InvalidParameterError, match="2 layers hold 4608 values; at most 4607"):
+        two_surfaces()[0].layers()
 
 
 def test_samples_of_a_layer_are_composited():
