@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from spreadlets.errors import SpreadletsError
+from spreadlets.errors import AmbiguousInputWarning, SpreadletsError
 
 BAR_WIDTH = 40
 """Characters of the whole time in the chart of steps."""
@@ -223,10 +223,13 @@ def synth(
             inputs = [numbered(item, number) for item in frames]
             truth = numbered(reference, number) if reference else None
             chosen = settings | {"database": lambda frame: choose(database, frame, settings["motion"])}
-            return _synthesise(inputs, path, numbered(camera_path, number), truth, reading, chosen)
+            report = _synthesise(inputs, path, numbered(camera_path, number), truth, reading, chosen)
+            warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
+            return report
 
         others = [camera_path, *([reference] if reference else [])]
-        _print(_sequence(frames, others, output, numbers, overwrite, make, as_json), as_json)
+        with warnings.catch_warnings():
+            _print(_sequence(frames, others, output, numbers, overwrite, make, as_json), as_json)
 
 
 def _synthesis_settings(options: dict[str, Any]) -> dict[str, Any]:

@@ -240,6 +240,14 @@ def test_a_bad_frame_of_a_sequence_is_named_and_earlier_ones_stay(run, shot, sma
     assert [path.name for path in shot.glob("out*")] == ["out.01.exr"]
 
 
+def test_a_sequence_warns_of_its_conventions_once(run, shot, small_combined_path):
+    for number in (1, 2, 3):
+        frame = exr.read_frame(shot / f"shot.{number:04d}.exr")
+        exr.write_frame(shot / f"shot.{number:04d}.exr", frame, preset="karma")
+    status, _, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 0 and err.count("Karma") == 1 and "shot.0001.exr" in err
+
+
 def test_sequence_options_need_a_sequence(run, scene, small_combined_path):
     for option in (("--frames", "1-2"), ("--overwrite",)):
         status, _, err = run(*synth_arguments(scene, small_combined_path), *option)

@@ -48,6 +48,7 @@ def composited(frame):
     return colour
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("seed", range(6))
 def test_tidying_is_the_documents(seed):
     # Of three opaque samples at one place the document's pairs give unequal shares; they are tested apart.
@@ -101,6 +102,7 @@ def test_overlapping_volumes_look_as_marching_through_them():
 # --- Layers --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("max_layers", [1, 2, 3, 8])
 @pytest.mark.parametrize("volumes", [True, False])
 def test_layers_follow_each_other_in_depth_and_flatten_to_the_image(volumes, max_layers):
@@ -175,6 +177,7 @@ def cuts_by_search(image):
     return [low + t / 2048 * (high - low) for t, score in scores.items() if score == best], best
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("seed", range(3))
 def test_the_best_cut_is_found(seed):
     image = random_image(seed, volumes=False, most=3).tidy()
