@@ -35,7 +35,7 @@ INPUT_OPTIONS = (
     click.option(
         "--motion-convention",
         help="DIRECTION-UNIT[-up] with forward or backward, and px, ndc, uv, norm, norm8 or norm16; blender, nuke, "
-        "nuke-forward, nuke-backward, curved-px, camera-velocity or ndc.",
+        "nuke-forward, nuke-backward, curved-px, camera-velocity, camera-velocity-sum or ndc.",
     ),
     click.option("--max-displacement", type=float, help="Motion in px at the end of a normalised range."),
     click.option("--unpremultiplied", is_flag=True, help="The colours are not multiplied by alpha."),

@@ -292,6 +292,8 @@ MOTION_CONVENTIONS: Mapping[str, MotionConvention] = {
     "nuke-backward": MotionConvention(((-1, 0), (0, 1))),
     # Three channels: velocity in camera space, x right, y up, z away from the camera, depth units per frame.
     "camera-velocity": MotionConvention(((1, 0, 0), (0, -1, 0)), unit="space"),
+    # Six channels: the same of the object, and of what the camera's own motion adds.
+    "camera-velocity-sum": MotionConvention(((1, 0, 0, 1, 0, 0), (0, -1, 0, 0, -1, 0)), unit="space"),
     # -1..1 over the image, per frame, y up.
     "ndc": MotionConvention(((1, 0), (0, -1)), unit="ndc"),
     **_straight_conventions(),
@@ -365,7 +367,8 @@ def stored_motion(name: str, labels: Mapping[str, FloatArray], depth: FloatArray
     """
     convention = MOTION_CONVENTIONS[name]
     if convention.unit == "space":
-        return _unprojected(labels["motion"], depth, scale)
+        velocity = _unprojected(labels["motion"], depth, scale)
+        return np.pad(velocity, ((0, 0), (0, 0), (0, convention.n_channels - velocity.shape[2])))
     unit = MOTION_UNITS[convention.unit]
     factors = _px_per_unit(name, depth.shape, scale)
     stacked = np.concatenate([labels[label] / factors for label in convention.rows], axis=2)
@@ -405,7 +408,7 @@ def _combined(channels: FloatArray, matrix: Matrix) -> FloatArray:
 def _projected(velocity: FloatArray, depth: FloatArray, scale: Scale) -> FloatArray:
     """Return the motion in the image of points that move in space: the derivative of the perspective projection."""
     focal_px, x, y, z = _perspective(depth, scale)
-    vx, vy, vz = np.moveaxis(velocity.astype(np.float64), -1, 0)
+    vx, vy, vz = (velocity[..., axis::3].sum(axis=2, dtype=np.float64) for axis in range(3))
     with np.errstate(invalid="ignore"):  # empty pixels may hold anything; visible ones are checked by `Frame`
         return np.stack([(focal_px * vx - x * vz) / z, (-focal_px * vy - y * vz) / z], axis=2).astype(np.float32)
 
@@ -486,9 +489,15 @@ PRESETS: Mapping[str, Preset] = {
     # dPdtime leaves the camera's own motion out; dPcameradtime holds it.
     "renderman": Preset(
         (("z", "planar"),),
-        ((("dPdtime.r", "dPdtime.g", "dPdtime.b"), "camera-velocity"),),
-        motion_doubt="RenderMan's dPdtime is taken for camera space per frame, forward, y up; it lacks the camera's "
-        "own motion",
+        (
+            (
+                ("dPdtime.r", "dPdtime.g", "dPdtime.b", "dPcameradtime.r", "dPcameradtime.g", "dPcameradtime.b"),
+                "camera-velocity-sum",
+            ),
+            (("dPdtime.r", "dPdtime.g", "dPdtime.b"), "camera-velocity"),
+        ),
+        motion_doubt="RenderMan's dPdtime is taken for camera space per frame, forward, y up; without dPcameradtime it "
+        "lacks the camera's own motion",
     ),
     # Grey is at rest; the render element's Max Velocity is `max_displacement`.
     "vray": Preset(

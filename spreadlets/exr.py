@@ -346,10 +346,13 @@ def _read_deep(
     names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
     _warn(image, depth.doubt, motion.doubt if motion else "")
     shape = image.display.height, image.display.width
+    part, data = read_deep_part(path, index), image.planes[colour[0]].window
+    if part.counts.shape != (data.height, data.width):
+        raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
     try:
         samples, dropped = deep_image(
-            read_deep_part(path, index),
-            image.planes[colour[0]].window,
+            part,
+            data,
             image.display,
             names,
             to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, options.scale),

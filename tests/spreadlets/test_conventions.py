@@ -121,6 +121,9 @@ def test_velocity_in_space_is_projected():
     channels = np.broadcast_to((velocity * 100).astype(np.float32), (*SHAPE, 3))  # in centimetres, as the depth
     labels = motion_labels("camera-velocity", channels, np.full(SHAPE, 5.0, np.float32), SCALE)
     np.testing.assert_allclose(labels["motion"][1, 6], expected, rtol=1e-5)
+    parts = np.concatenate([0.75 * channels, 0.25 * channels], axis=2).astype(np.float32)
+    both = motion_labels("camera-velocity-sum", parts, np.full(SHAPE, 5.0, np.float32), SCALE)
+    np.testing.assert_allclose(both["motion"], labels["motion"], rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", MOTION_CONVENTIONS)
@@ -178,7 +181,7 @@ def test_a_frame_comes_back_through_every_preset(tmp_path, preset, path_kind, un
 EXPECTED_CHANNELS = {
     "blender": "ViewLayer.Combined.R ViewLayer.Depth.Z ViewLayer.Vector.X ViewLayer.Vector.W",
     "arnold": "R Z motionvector.R motionvector.G",
-    "renderman": "R z dPdtime.r dPdtime.b",
+    "renderman": "R z dPdtime.r dPcameradtime.b",
     "vray": "R Z velocity.R velocity.G",
     "redshift": "R Z MotionVectors.R MotionVectors.G",
     "karma": "R ray:hitPz ray:motionvector.x ray:motionvector.y",

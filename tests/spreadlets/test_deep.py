@@ -437,6 +437,17 @@ def test_truncated_deep_files_are_refused(tmp_path, share, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_window_that_the_library_does_not_understand_is_refused(tmp_path):
+    path = tmp_path / "deep.exr"
+    write_deep(path, random_image())
+    content = (
+        path.read_bytes().replace(b"dataWindow\0box2i", b"dataWindow\0box3i").replace(b"chunkCount", b"chunkcount")
+    )
+    path.write_bytes(content)
+    with pytest.raises(InvalidFileError):
+        exr.read_frame(path)
+
+
 @pytest.mark.parametrize("count", [-5, 2**31 - 1])
 def test_lies_about_the_number_of_chunks_are_refused(tmp_path, count):
     path = tmp_path / "deep.exr"
