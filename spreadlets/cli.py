@@ -287,14 +287,10 @@ def _sequence(
     with _progress(os.path.basename(output), quiet=as_json) as progress:
         report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
     if not as_json:
-        report["frames"] = [_line_of(entry) for entry in report["frames"]]
+        times = [None if entry["skipped"] else entry["time_s"]["total"] for entry in report["frames"]]
+        shown = ["kept" if seconds is None else f"{seconds:.2f} s" for seconds in times]
+        report["frames"] = {entry["output"]: text for entry, text in zip(report["frames"], shown, strict=True)}
     return report
-
-
-def _line_of(entry: dict[str, Any]) -> str:
-    """Return one frame of a sequence in a line."""
-    done = "kept" if entry["skipped"] else f"{entry['time_s']['total']:.2f} s"
-    return f"{entry['output']} {done}"
 
 
 @contextmanager
