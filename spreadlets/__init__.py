@@ -16,12 +16,18 @@ if TYPE_CHECKING:
     from spreadlets.camera import read_camera as read_camera
     from spreadlets.database import Database as Database
     from spreadlets.database import open_database as open_database
+    from spreadlets.deep import DeepImage as DeepImage
+    from spreadlets.deep import write_deep as write_deep
     from spreadlets.exr import read_frame as read_frame
     from spreadlets.exr import read_image as read_image
     from spreadlets.exr import write_frame as write_frame
     from spreadlets.exr import write_image as write_image
     from spreadlets.exr import write_png as write_png
     from spreadlets.frame import Frame as Frame
+    from spreadlets.sample_buffer import SampleBuffer as SampleBuffer
+    from spreadlets.sample_files import read_samples as read_samples
+    from spreadlets.sample_files import write_samples as write_samples
+    from spreadlets.tlfr import write_tlfr as write_tlfr
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
@@ -30,7 +36,11 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "api": ["build_database", "synthesize"],
         "camera": ["ThinLens", "read_camera"],
         "database": ["Database", "open_database"],
+        "deep": ["DeepImage", "write_deep"],
         "exr": ["read_frame", "read_image", "write_frame", "write_image", "write_png"],
         "frame": ["Frame"],
+        "sample_buffer": ["SampleBuffer"],
+        "sample_files": ["read_samples", "write_samples"],
+        "tlfr": ["write_tlfr"],
     },
 )

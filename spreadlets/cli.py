@@ -4,22 +4,51 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import click
 
-from spreadlets.errors import SpreadletsError
+from spreadlets.errors import AmbiguousInputWarning, SpreadletsError
 
 BAR_WIDTH = 40
 """Characters of the whole time in the chart of steps."""
 
+_DEFAULT = click.core.ParameterSource.DEFAULT
+
 EXIT_BAD_INPUT = 2
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
+
+INPUT_OPTIONS = (
+    click.option("--preset", help="Renderer: blender, arnold, renderman, vray, redshift, karma or nuke."),
+    click.option("--colour-layer", help="Name of the colour layer, if there are several."),
+    click.option("--depth-channel", help="Name of the depth channel, if it is not recognised."),
+    click.option("--depth-convention", help="planar, ray (distance along the ray), inverse (1/depth) or disparity."),
+    click.option("--depth-scale", type=float, default=1.0, show_default=True, help="Metres per unit of depth."),
+    click.option("--baseline", "baseline_m", type=float, help="Distance of the two cameras, metres, for disparity."),
+    click.option("--motion-channels", help="Names of the motion channels, separated by commas; none ignores them."),
+    click.option(
+        "--motion-convention",
+        help="DIRECTION-UNIT[-up] with forward or backward, and px, ndc, uv, norm, norm8 or norm16; blender, nuke, "
+        "nuke-forward, nuke-backward, curved-px, camera-velocity, camera-velocity-sum or ndc.",
+    ),
+    click.option("--max-displacement", type=float, help="Motion in px at the end of a normalised range."),
+    click.option("--unpremultiplied", is_flag=True, help="The colours are not multiplied by alpha."),
+)
+"""How to read a frame; what is not given is recognised."""
+
+
+def input_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of reading a frame to a command."""
+    for option in reversed(INPUT_OPTIONS):
+        command = option(command)
+    return command
+
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 
@@ -76,14 +105,50 @@ def build(
 
 
 @cli.command()
-@click.argument("database", metavar="DB")
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells to this file (PNG).")
+@click.argument("target", metavar="DB|FRAME.exr")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells of a DB (PNG).")
+@click.option("--camera", "camera_path", type=click.Path(dir_okay=False), help="Camera file (JSON) of a frame.")
+@input_options
 @json_option
-def info(database: str, plot: str | None, as_json: bool) -> None:
-    """Show what a database holds and how good it is; DB is a file or a shipped name.
+@click.pass_context
+def info(
+    context: click.Context, /, target: str, plot: str | None, camera_path: str | None, as_json: bool, **options: Any
+) -> None:
+    """Show what a database holds and how good it is (a file or a shipped name), or how a frame would be read.
 
-    Example: spreadlets info combined --plot combined.png
+    Of a frame: size, parts, what was recognised as colour, depth and motion, by which convention, and the ranges of
+    values.
+
+    Example: spreadlets info frame.exr --preset nuke
     """
+    from spreadlets.frame_info import is_frame_file
+
+    if is_frame_file(target):
+        if plot:
+            raise click.UsageError("--plot is for databases")
+        _print(_frame_info(target, camera_path, options), as_json)
+        return
+    given = [name for name in ("camera_path", *options) if context.get_parameter_source(name) is not _DEFAULT]
+    if given:
+        raise click.UsageError(
+            f"{target} is no frame: --camera and the options of reading a frame are not for databases"
+        )
+    _database_info(target, plot, as_json)
+
+
+def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> dict[str, Any]:
+    from spreadlets.camera import read_camera
+    from spreadlets.conventions import Scale
+    from spreadlets.frame_info import frame_info
+    from spreadlets.recognise import ReadOptions
+
+    settings = _input_settings(options)
+    camera = read_camera(camera_path) if camera_path else None
+    scale = Scale(camera, *(settings.pop(name) for name in ("depth_scale", "baseline_m", "max_displacement")))
+    return frame_info(path, ReadOptions(**settings, scale=scale))
+
+
+def _database_info(database: str, plot: str | None, as_json: bool) -> None:
     from spreadlets.api import plot_database
     from spreadlets.database import open_database
 
@@ -91,6 +156,13 @@ def info(database: str, plot: str | None, as_json: bool) -> None:
         if plot:
             plot_database(opened, plot)
         _print(opened.summary(), as_json)
+
+
+def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of reading a frame as `read_frame` takes them."""
+    names = options["motion_channels"]
+    channels = () if names == "none" else tuple(names.split(",")) if names else None
+    return options | {"motion_channels": channels}
 
 
 @cli.command()
@@ -109,36 +181,72 @@ def info(database: str, plot: str | None, as_json: bool) -> None:
 @click.option("--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
-@click.option("--colour-layer", help="Name of the colour layer, if there are several.")
-@click.option("--depth-channel", help="Name of the depth channel, if it is not recognised.")
-@click.option("--depth-convention", default="planar", show_default=True, help="planar (metres) or inverse (1/metres).")
-@click.option("--motion-channels", help="Names of the motion channels, separated by commas.")
-@click.option("--motion-convention", help="blender, forward-px, backward-px, curved-px or nuke-forward.")
+@input_options
+@click.option("--deep-layers", type=click.IntRange(min=1), help="Most layers made of a deep image (default: 8).")
 @click.option("--repair", is_flag=True, help="Drop pixels with invalid values instead of refusing the frame.")
+@click.option("--frames", "numbers", help="Frames of a sequence, such as 1-24, 1-24x2 or 1,5,9-12 (default: all).")
+@click.option("--overwrite", is_flag=True, help="Make frames of a sequence again whose results exist.")
 @click.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image.")
 @json_option
 def synth(
     frames: tuple[str, ...],
     output: str,
     camera_path: str,
-    no_defocus: bool,
-    no_motion: bool,
     database: str | None,
-    method: str,
-    integrator: str | None,
-    cycles: int | None,
-    tolerance: float | None,
+    deep_layers: int | None,
+    repair: bool,
+    numbers: str | None,
+    overwrite: bool,
     reference: str | None,
-    motion_channels: str | None,
     as_json: bool,
-    **channels: Any,
+    **options: Any,
 ) -> None:
     """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
 
-    Several frames are depth layers of one view, nearest first.
+    Several frames are depth layers of one view, nearest first. A path with a counter, such as frame.####.exr or
+    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept.
 
-    Example: spreadlets synth frame.exr -o out.exr --camera camera.json --db combined
+    Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
+    from spreadlets.sequence import is_pattern, numbered
+
+    settings = _synthesis_settings(options)
+    reading = _input_settings(options) | {"repair": repair} | ({"max_layers": deep_layers} if deep_layers else {})
+    if not any(is_pattern(path) for path in frames):
+        if numbers or overwrite:
+            raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
+        _print(_synthesise(frames, output, camera_path, reference, reading, settings | {"database": database}), as_json)
+        return
+    with _databases() as choose:
+
+        def make(number: int, path: str) -> dict[str, Any]:
+            inputs = [numbered(item, number) for item in frames]
+            truth = numbered(reference, number) if reference else None
+            chosen = settings | {"database": lambda frame: choose(database, frame, settings["motion"])}
+            report = _synthesise(inputs, path, numbered(camera_path, number), truth, reading, chosen)
+            warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
+            return report
+
+        others = [camera_path, *([reference] if reference else [])]
+        with warnings.catch_warnings():
+            _print(_sequence(frames, others, output, numbers, overwrite, make, as_json), as_json)
+
+
+def _synthesis_settings(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of `synthesize` out of a command's options."""
+    settings = {name: options.pop(name) for name in ("method", "integrator", "cycles", "tolerance")}
+    return settings | {"defocus": not options.pop("no_defocus"), "motion": not options.pop("no_motion")}
+
+
+def _synthesise(
+    frames: Sequence[str],
+    output: str,
+    camera_path: str,
+    reference: str | None,
+    reading: dict[str, Any],
+    settings: dict[str, Any],
+) -> dict[str, Any]:
+    """Make one image and return its report; the database may be chosen by the frame."""
     from runtime.render import Clock
     from spreadlets import exr, metrics
     from spreadlets.api import synthesize
@@ -147,29 +255,63 @@ def synth(
     clock = Clock()
     with clock.step("read"):
         camera = read_camera(camera_path)
-        names = motion_channels.split(",") if motion_channels else None
-        frame = exr.read_frame(list(frames), motion_channels=names, **channels)
+        frame = exr.read_frame(list(frames), camera=camera, **reading)
         truth = exr.read_image(reference) if reference else None
-    image, report = synthesize(
-        frame,
-        camera,
-        database,
-        method=method,
-        integrator=integrator,
-        cycles=cycles,
-        tolerance=tolerance,
-        defocus=not no_defocus,
-        motion=not no_motion,
-        report=True,
-        clock=clock,
-    )
+    database = settings["database"]
+    settings = settings | {"database": database(frame) if callable(database) else database}
+    image, report = synthesize(frame, camera, **settings, report=True, clock=clock)
     if frame.dropped_pixels:
         warnings.warn(f"{frame.dropped_pixels} invalid pixels were dropped", stacklevel=1)
     figures = metrics.compare(image, truth) if truth is not None else {}
     with clock.step("write"):
         exr.write_image(output, image)
     report["time_s"] = clock.times()
-    _print(report | figures, as_json)
+    return report | figures
+
+
+def _sequence(
+    frames: Sequence[str],
+    others: Sequence[str],
+    output: str,
+    numbers: str | None,
+    overwrite: bool,
+    make: Callable[[int, str], dict[str, Any]],
+    as_json: bool,
+) -> dict[str, Any]:
+    """Make the frames of a sequence, with a bar; for people each frame's report is cut to its time."""
+    from spreadlets.sequence import listed, run_sequence, sequence_frames
+
+    chosen, gaps = sequence_frames(frames, others, output, numbers)
+    if gaps:
+        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
+    with _progress(os.path.basename(output), quiet=as_json) as progress:
+        report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
+    if not as_json:
+        times = [None if entry["skipped"] else entry["time_s"]["total"] for entry in report["frames"]]
+        shown = ["kept" if seconds is None else f"{seconds:.2f} s" for seconds in times]
+        report["frames"] = {entry["output"]: text for entry, text in zip(report["frames"], shown, strict=True)}
+    return report
+
+
+@contextmanager
+def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
+    """Give a function that returns an open database for a frame; each is opened once."""
+    from spreadlets.api import _default_database
+    from spreadlets.database import Database, open_database
+
+    opened: dict[str, Database] = {}
+
+    def choose(name: str | None, frame: Any, motion: bool) -> Database:
+        wanted = name or _default_database(frame, motion)
+        if wanted not in opened:
+            opened[wanted] = open_database(wanted)
+        return opened[wanted]
+
+    try:
+        yield choose
+    finally:
+        for database in opened.values():
+            database.close()
 
 
 @cli.command()
@@ -247,6 +389,9 @@ def _lines(figures: dict[str, Any], indent: str) -> list[str]:
             lines += [f"{indent}{name}", *_lines(value, indent + "  ")]
         elif isinstance(value, float):
             lines.append(f"{indent}{name:<18} {value:.5g}")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for index, item in enumerate(value):
+                lines += [f"{indent}{name} {index}", *_lines(item, indent + "  ")]
         else:
             text = ", ".join(map(str, value)) if isinstance(value, list) else value
             lines.append(f"{indent}{name:<18} {text}")

@@ -23,3 +23,7 @@ class InvalidDatabaseError(SpreadletsError):
 
 class InvalidParameterError(SpreadletsError):
     """An option or argument is out of its allowed range, or names something unknown."""
+
+
+class AmbiguousInputWarning(UserWarning):
+    """An image file's depth or motion can be read in several ways; the message says which was taken, and the remedy."""

@@ -1,38 +1,56 @@
-"""Image files in and out: frames and images as OpenEXR, previews as PNG.
+"""Frames and images as OpenEXR, previews as PNG.
 
-The names and meanings of the channels are tables (`MOTION_CONVENTIONS`, `DEPTH_NAMES`, `COLOUR_NAMES`): another
-renderer is another row.
+What the channels mean is told by the tables of `spreadlets.conventions`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
-import secrets
-import tempfile
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
-from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.camera import ThinLens
+from spreadlets.conventions import (
+    MOTION_CONVENTIONS,
+    OWN,
+    PRESETS,
+    Preset,
+    Scale,
+    check_choice,
+    motion_labels,
+    planar_depth,
+    planar_samples,
+    stored_depth,
+    stored_motion,
+)
+from spreadlets.deep import DEFAULT_LAYERS, deep_image
+from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.exr_chunks import read_deep_part
+from spreadlets.exr_file import (
+    Image,
+    PathLike,
+    Plane,
+    atomic_path,
+    check_headers,
+    check_same_window,
+    gather,
+    is_deep,
+    library_messages,
+    merged,
+    overlap,
+    part_header,
+    read_headers,
+    read_parts,
+    window,
+)
 from spreadlets.frame import FloatArray, Frame, Layer, image_array
 from spreadlets.metrics import display_encode
-
-PathLike = str | os.PathLike[str]
-Matrix = tuple[tuple[float, ...], tuple[float, ...]]
-
-MAX_VALUES = 1 << 30
-"""Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
-
-LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
-"""What the OpenEXR binding raises on files and headers that it cannot handle."""
+from spreadlets.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -55,119 +73,22 @@ RESERVED_METADATA = frozenset(
 )
 """Header attributes that describe the file itself; other values there would break it."""
 
-_STDERR_DESCRIPTOR = 2
-_STDERR_LOCK = threading.Lock()
-
-
-@dataclass(frozen=True)
-class MotionConvention:
-    """How a renderer's motion channels become px per frame, y down, forward in time.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Names to look for, behind any layer prefix; empty if the channels must be given.
-    motion, motion_prev, motion_next : 2 x n matrix or None
-        Rows of dx and dy as weights of the n channels; `motion` is None where it is the mean of the other two.
-    """
-
-    channels: tuple[str, ...]
-    motion: Matrix | None = None
-    motion_prev: Matrix | None = None
-    motion_next: Matrix | None = None
-
-    @property
-    def n_channels(self) -> int:
-        """How many channels the convention takes."""
-        return max(len(m[0]) for m in (self.motion, self.motion_prev, self.motion_next) if m is not None)
-
-
-MOTION_CONVENTIONS: Mapping[str, MotionConvention] = {
-    # XY = P(prev) - P(cur), ZW = P(cur) - P(next), px per frame, y up.
-    "blender": MotionConvention(
-        ("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
-        motion_prev=((-1, 0, 0, 0), (0, 1, 0, 0)),
-        motion_next=((0, 0, -1, 0), (0, 0, 0, 1)),
-    ),
-    # Our own: px per frame, y down, forward in time.
-    "forward-px": MotionConvention(("motion.x", "motion.y"), motion=((1, 0), (0, 1))),
-    # Our own with a curved path, as `write_frame` stores it.
-    "curved-px": MotionConvention(
-        ("motion.x", "motion.y", "motion_prev.x", "motion_prev.y", "motion_next.x", "motion_next.y"),
-        motion=((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0)),
-        motion_prev=((0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0)),
-        motion_next=((0, 0, 0, 0, 1, 0), (0, 0, 0, 0, 0, 1)),
-    ),
-    # P(prev) - P(cur), px per frame, y down. Nobody's default name, so the channels must be given.
-    "backward-px": MotionConvention((), motion=((-1, 0), (0, -1))),
-    # Nuke's forward layer: P(next) - P(cur), px per frame, y up.
-    "nuke-forward": MotionConvention(("forward.u", "forward.v"), motion=((1, 0), (0, -1))),
-}
-"""Motion conventions by the name that the `motion_convention` option takes."""
-
-DEPTH_CONVENTIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
-    "planar": lambda depth: depth,
-    "inverse": lambda depth: np.divide(np.float32(1), depth),
-}
-"""Planar depth in metres from a depth channel, by the name that the `depth_convention` option takes."""
-
-DEPTH_NAMES = ("depth.Z", "Depth.Z")
-"""Depth channels, behind any layer prefix; a plain ``Z`` counts only beside the colour (normals have a Z, too)."""
-
-COLOUR_NAMES = ("Combined.", "rgba.", "RGBA.", "beauty.", "Beauty.", "")
-"""What stands before R, G, B in the main image, behind any layer prefix, if there are no plain R, G, B; first wins."""
-
-
-class _Window(NamedTuple):
-    """A pixel rectangle: left column, top row, width, height."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Plane:
-    """One channel's pixels where the file stores them."""
-
-    pixels: npt.NDArray[Any]
-    window: _Window
-    sampling: tuple[int, int]
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """One part of a file: its channels by the names that they have in the file."""
-
-    name: str
-    planes: Mapping[str, _Plane]
-    display: _Window
-    view: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Image:
-    """The channels of a file, or of one layer part, by their full names."""
-
-    path: PathLike
-    planes: Mapping[str, _Plane]
-    display: _Window
-
-    def problem(self, what: str, option: str) -> InvalidFileError:
-        """Return an error that lists the channels and names the option that settles the matter."""
-        found = ", ".join(sorted(self.planes)) or "none"
-        return InvalidFileError(f"{self.path}: {what}; name it with {option}. Channels found: {found}")
-
 
 def read_frame(
     paths: PathLike | Sequence[PathLike],
     *,
+    preset: str | None = None,
     colour_layer: str | None = None,
     depth_channel: str | None = None,
     motion_channels: Sequence[str] | None = None,
-    depth_convention: str = "planar",
+    depth_convention: str | None = None,
     motion_convention: str | None = None,
+    unpremultiplied: bool = False,
+    camera: ThinLens | None = None,
+    depth_scale: float = 1.0,
+    baseline_m: float | None = None,
+    max_displacement: float | None = None,
+    max_layers: int = DEFAULT_LAYERS,
     repair: bool = False,
 ) -> Frame:
     """Read a frame of labelled pixels from OpenEXR files.
@@ -175,18 +96,33 @@ def read_frame(
     Parameters
     ----------
     paths : path or sequence of paths
-        One file is a whole frame, or depth layers if each of its parts holds R, G, B, A and Z. Several files are depth
-        layers, nearest first, premultiplied by alpha.
+        One file is a whole frame, or depth layers if each of its parts holds R, G, B, A and Z, or a deep image, whose
+        samples become layers. Several files are depth layers, nearest first, premultiplied by alpha.
+    preset : str, optional
+        The renderer that wrote the file, a key of `conventions.PRESETS`; by default all their channel names are
+        looked for.
     colour_layer : str, optional
         Prefix of the colour channels, e.g. ``"ViewLayer.Combined"``; by default the main image is looked for.
     depth_channel : str, optional
         Name of the depth channel; by default a known name is looked for.
     motion_channels : sequence of str, optional
-        Names of the motion channels in the order of the convention; by default known names are looked for.
-    depth_convention : {'planar', 'inverse'}
-        Whether the depth channel holds planar metres or their inverse.
-    motion_convention : str, optional
-        A key of `MOTION_CONVENTIONS`; by default it follows from the channels' names.
+        Names of the motion channels in the order of the convention, or an empty sequence to take the frame as still;
+        by default known names are looked for.
+    depth_convention, motion_convention : str, optional
+        Keys of `conventions.DEPTH_CONVENTIONS` and `conventions.MOTION_CONVENTIONS`; by default they follow from the
+        renderer or from the channels' names.
+    unpremultiplied : bool
+        Whether the colours are not multiplied by alpha yet.
+    camera : ThinLens, optional
+        Needed for ray distance, disparity and velocities in space.
+    depth_scale : float
+        Metres per unit of the depth channel: 0.01 for a scene in centimetres.
+    baseline_m : float, optional
+        Distance of the two cameras in metres; needed for disparity.
+    max_displacement : float, optional
+        Motion in px that the end of the range stands for; needed for normalised motion.
+    max_layers : int
+        Most depth layers that are made of a deep image, see `deep.DeepImage.layers`.
     repair : bool
         Drop pixels with invalid values instead of raising, see `Frame`.
 
@@ -203,22 +139,26 @@ def read_frame(
     InvalidFrameError
         If the values are invalid, or the layers' shapes differ.
     InvalidParameterError
-        If a convention's name is unknown, or takes another number of channels than are named.
+        If a name is unknown, a convention takes another number of channels than are named, or needs something that is
+        not given.
+
+    Warns
+    -----
+    AmbiguousInputWarning
+        If a convention had to be assumed.
     """
-    _check_choice("depth_convention", depth_convention, DEPTH_CONVENTIONS)
-    if motion_convention is not None:
-        _check_choice("motion_convention", motion_convention, MOTION_CONVENTIONS)
+    options = ReadOptions(
+        preset=preset,
+        colour_layer=colour_layer,
+        depth_channel=depth_channel,
+        motion_channels=None if motion_channels is None else tuple(motion_channels),
+        depth_convention=depth_convention,
+        motion_convention=motion_convention,
+        unpremultiplied=unpremultiplied,
+        scale=Scale(camera, depth_scale, baseline_m, max_displacement),
+    )
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    layers = []
-    for image in (image for path in files for image in _layer_images(path)):
-        colour = _find_colour(image, colour_layer)
-        depth = _find_depth(image, depth_channel)
-        motion = _find_motion(image, motion_channels, motion_convention)
-        _check_same_window(image, [*colour, depth, *(motion[1] if motion else ())])
-        labels = {} if motion is None else _motion_labels(*motion, image)
-        with np.errstate(divide="ignore"):  # an inverse depth of zero is infinitely far
-            planar = DEPTH_CONVENTIONS[depth_convention](_gather(image, (depth,))[..., 0])
-        layers.append(_named_frame(image, _radiance(image, colour), planar, labels, repair))
+    layers = [layer for path in files for layer in _read_file(path, options, repair, max_layers)]
     return layers[0] if len(layers) == 1 else Frame.from_layers(layers)
 
 
@@ -242,9 +182,9 @@ def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray
     InvalidFileError
         If the file cannot be read, or its colour channels are missing, ambiguous, or do not cover the image.
     """
-    image = _merged(path, _read_parts(path))
-    colour = _find_colour(image, colour_layer)
-    _check_same_window(image, colour)
+    image = merged(path, read_parts(path))
+    colour = find_colour(image, ReadOptions(colour_layer=colour_layer))
+    check_same_window(image, colour)
     return _radiance(image, colour)
 
 
@@ -282,12 +222,22 @@ def write_image(
     if half:
         channels = {name: np.clip(plane, -HALF_MAX, HALF_MAX) for name, plane in channels.items()}
     stored = {name: np.ascontiguousarray(plane, np.float16 if half else np.float32) for name, plane in channels.items()}
-    header = {**_checked_metadata(metadata or {}), **_part_header()}
-    with atomic_path(path, ".exr") as temporary, _library_messages():
+    header = {**_checked_metadata(metadata or {}), **part_header()}
+    with atomic_path(path, ".exr") as temporary, library_messages():
         OpenEXR.File(header, stored).write(str(temporary))
 
 
-def write_frame(path: PathLike, frame: Frame) -> None:
+def write_frame(
+    path: PathLike,
+    frame: Frame,
+    *,
+    preset: str | None = None,
+    unpremultiplied: bool = False,
+    camera: ThinLens | None = None,
+    depth_scale: float = 1.0,
+    baseline_m: float | None = None,
+    max_displacement: float | None = None,
+) -> None:
     """Write a frame as OpenEXR so that `read_frame` gives it back; the file appears whole or not at all.
 
     Parameters
@@ -297,17 +247,33 @@ def write_frame(path: PathLike, frame: Frame) -> None:
     frame : Frame
         Stored as 32-bit floats R, G, B, A, Z, and motion.x, motion.y (px per frame, y down, forward) where the frame
         has motion, with motion_prev and motion_next for a curved path; several layers as parts layer0, layer1, ...
+    preset : str, optional
+        Store one layer as this renderer does, a key of `conventions.PRESETS`, with the first depth and motion
+        convention of its row.
+    unpremultiplied : bool
+        Divide the colours by alpha; empty pixels become black.
+    camera, depth_scale, baseline_m, max_displacement
+        As for `read_frame`, where the preset's conventions need them.
 
     Raises
     ------
+    InvalidFrameError
+        If the frame has several layers and the preset holds one.
+    InvalidParameterError
+        If the preset is unknown or needs something that is not given.
     InvalidFileError
         If the file cannot be written.
     """
+    check_choice("preset", preset, PRESETS)
+    if preset is not None and len(frame.layers) > 1:
+        raise InvalidFrameError(f"the preset {preset} holds one layer, the frame has {len(frame.layers)}")
+    row = OWN if preset is None else PRESETS[preset]
+    scale = Scale(camera, depth_scale, baseline_m, max_displacement)
     parts = [
-        OpenEXR.Part({**_part_header(), "name": f"layer{index}"}, _frame_channels(layer))
+        OpenEXR.Part({**part_header(), "name": f"layer{index}"}, _stored_channels(layer, row, scale, unpremultiplied))
         for index, layer in enumerate(frame.layers)
     ]
-    with atomic_path(path, ".exr") as temporary, _library_messages():
+    with atomic_path(path, ".exr") as temporary, library_messages():
         OpenEXR.File(parts).write(str(temporary))
 
 
@@ -339,300 +305,120 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
 # --- Reading -------------------------------------------------------------------------------------------------------
 
 
-def _layer_images(path: PathLike) -> list[_Image]:
-    """Return a file's depth layers: one per part if each part holds R, G, B, A and Z, else one from all parts."""
-    parts = _read_parts(path)
+def _read_file(path: PathLike, options: ReadOptions, repair: bool, max_layers: int) -> list[Frame]:
+    """Return a file's depth layers: its parts, or those of a deep image, or one from all parts together."""
+    headers = read_headers(path)
+    if any(is_deep(header) for header in headers):
+        return [_read_deep(path, headers, options, repair, max_layers)]
+    return [_read_layer(image, options, repair) for image in layer_images(path)]
+
+
+def layer_images(path: PathLike) -> list[Image]:
+    """Return the images of a flat file: its parts if each holds R, G, B, A and Z, else one of all channels together."""
+    parts = read_parts(path)
     one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
     if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
-        return [_Image(path, part.planes, part.display) for part in parts]
-    return [_merged(path, parts)]
+        return [Image(path, part.planes, part.display) for part in parts]
+    return [merged(path, parts)]
 
 
-def _merged(path: PathLike, parts: Sequence[_Part]) -> _Image:
-    """Return all parts' channels in one; in a file of several parts the part's name leads, if it does not already."""
-    planes: dict[str, _Plane] = {}
-    for part in parts:
-        for name, plane in part.planes.items():
-            bare = len(parts) == 1 or not part.name or name.startswith(part.name + ".")
-            planes[name if bare else f"{part.name}.{name}"] = plane
-    return _Image(path, planes, parts[0].display)
+def deep_header(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> tuple[int, Image]:
+    """Return which part of a file is deep, and its channels without pixels, after checking what the headers promise."""
+    deep = [index for index, header in enumerate(headers) if is_deep(header)]
+    if len(deep) > 1:
+        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts; one can be read")
+    check_headers(path, headers, deep=True)
+    header = headers[deep[0]]
+    data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
+    planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
+    return deep[0], Image(path, planes, window(header["displayWindow"]))
 
 
-def _read_parts(path: PathLike) -> list[_Part]:
-    """Return every channel of a file as stored, after checking what the header promises."""
-    if not os.path.isfile(path):
-        raise InvalidFileError(f"{path}: there is no such file")
-    header, _ = _open(path, header_only=True)
-    _check_headers(path, [part.header for part in header.parts])
-    file, messages = _open(path, header_only=False)
-    parts = [
-        _Part(
-            part.name(),
-            {
-                name: _Plane(channel.pixels, _window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
-                for name, channel in part.channels.items()
-            },
-            _window(part.header["displayWindow"]),
-            str(part.header.get("view", "")),
-        )
-        for part in file.parts
-    ]
-    # The binding skips parts that it fails to decode.
-    if len(parts) < len(header.parts) or not all(part.planes for part in parts):
-        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
-    return parts
-
-
-def _open(path: PathLike, *, header_only: bool) -> tuple[Any, list[str]]:
-    """Return the binding's file object and what the library printed."""
-    messages: list[str] = []
+def _read_deep(
+    path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions, repair: bool, max_layers: int
+) -> Frame:
+    """Return the depth layers of a deep file."""
+    index, image = deep_header(path, headers)
+    colour = find_colour(image, options)
+    if len(colour) < 4:
+        raise image.problem("lacks alpha, which deep samples need", "colour_layer")
+    depth, motion = find_depth(image, colour, options), find_motion(image, options)
+    names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
+    _warn(image, depth.doubt, motion.doubt if motion else "")
+    shape = image.display.height, image.display.width
+    part, data = read_deep_part(path, index), image.planes[colour[0]].window
+    if part.counts.shape != (data.height, data.width):
+        raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
     try:
-        with _library_messages() as messages:
-            return OpenEXR.File(os.fspath(path), separate_channels=True, header_only=header_only), messages
-    except LIBRARY_ERRORS as error:
-        raise InvalidFileError(
-            f"{path}: is not a readable OpenEXR file{_detail(path, messages or [str(error)])}"
-        ) from None
+        samples, dropped = deep_image(
+            part,
+            data,
+            image.display,
+            names,
+            to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, options.scale),
+            to_motion=lambda channels: _mean_motion(motion, channels, shape, options.scale),
+            unpremultiplied=options.unpremultiplied,
+            repair=repair,
+        )
+        if dropped:
+            warnings.warn(f"{path}: {dropped} invalid deep samples were dropped", stacklevel=4)
+        return samples.layers(max_layers)
+    except (InvalidFrameError, InvalidParameterError) as error:
+        raise type(error)(f"{path}: {error}") from None
 
 
-def _detail(path: PathLike, messages: Sequence[str]) -> str:
-    """Return the library's first message, in brackets, without the path that it starts with."""
-    return f" ({messages[0].removeprefix(f'{path}: ')})" if messages else ""
+def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, int], scale: Scale) -> FloatArray:
+    """Return the motion of samples, (N, n) to (N, 2) in px per frame; of a curved path the mean."""
+    assert found is not None  # only called where there are channels
+    labels = motion_labels(found.convention, channels[None], channels[None], scale, shape)
+    values = labels["motion"] if "motion" in labels else 0.5 * (labels["motion_prev"] + labels["motion_next"])
+    return np.asarray(values[0], np.float32)
 
 
-@contextlib.contextmanager
-def _library_messages() -> Iterator[list[str]]:
-    """Collect what the OpenEXR library prints on failure, so that it goes into the error instead of the terminal.
-
-    The C library writes to the process's standard error and the binding to Python's standard output; neither can be
-    switched off. The list is filled when the block ends.
-    """
-    messages: list[str] = []
-    with _STDERR_LOCK, tempfile.TemporaryFile() as log, contextlib.redirect_stdout(io.StringIO()):
-        saved = os.dup(_STDERR_DESCRIPTOR)
-        os.dup2(log.fileno(), _STDERR_DESCRIPTOR)
-        try:
-            yield messages
-        finally:
-            os.dup2(saved, _STDERR_DESCRIPTOR)
-            os.close(saved)
-            log.seek(0)
-            messages += log.read().decode(errors="replace").splitlines()
-
-
-def _check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InvalidFileError before any pixel is read if a file is deep, or larger than `MAX_VALUES`."""
-    total = 0
-    for header in headers:
-        if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-            raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read")
-        data, display = _window(header["dataWindow"]), _window(header["displayWindow"])
-        if min(*data[2:], *display[2:]) < 1:
-            raise InvalidFileError(f"{path}: has an empty window")
-        if display != _window(headers[0]["displayWindow"]):
-            raise InvalidFileError(f"{path}: its parts have different display windows")
-        total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
-    if total > MAX_VALUES:
-        raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
+def _read_layer(image: Image, options: ReadOptions, repair: bool) -> Frame:
+    """Return one layer of labelled pixels; its errors start with the file's path."""
+    colour = find_colour(image, options)
+    depth = find_depth(image, colour, options)
+    motion = find_motion(image, options)
+    check_same_window(image, [*colour, *depth.channels, *(motion.channels if motion else ())])
+    radiance = _radiance(image, colour)
+    if options.unpremultiplied and radiance.shape[2] == 4:
+        radiance[..., :3] *= radiance[..., 3:]
+    stored = gather(image, depth.channels)[..., 0]
+    alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
+    told = options.depth_convention is not None or options.preset is not None
+    _warn(image, depth.doubt, motion.doubt if motion else "")
+    if looks_wrong := depth_warning(os.fspath(image.path), depth, stored, alpha, told):
+        warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
+    try:
+        planar = planar_depth(depth.convention, stored, options.scale)
+        labels = {}
+        if motion is not None:
+            labels = motion_labels(motion.convention, gather(image, motion.channels), planar, options.scale)
+        return Frame(radiance, planar, **labels, repair=repair)
+    except (InvalidFrameError, InvalidParameterError) as error:
+        raise type(error)(f"{image.path}: {error}") from None
 
 
-def _window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> _Window:
-    """Return an OpenEXR box, whose maximum is inclusive, as left, top, width, height."""
-    (left, top), (right, bottom) = ((int(x), int(y)) for x, y in box)
-    return _Window(left, top, right - left + 1, bottom - top + 1)
+def _warn(image: Image, *doubts: str) -> None:
+    """Warn of each doubt that there is."""
+    for doubt in filter(None, doubts):
+        remedy = "say depth_convention or motion_convention to choose another or to silence this"
+        warnings.warn(f"{image.path}: {doubt}; {remedy}", AmbiguousInputWarning, stacklevel=4)
 
 
-# --- Finding channels ----------------------------------------------------------------------------------------------
-
-
-def _groups(image: _Image, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return every set of channels that carries these names behind one prefix."""
-    heads = [name for name in image.planes if name == names[0] or name.endswith("." + names[0])]
-    prefixes = [head.removesuffix(names[0]) for head in heads]
-    groups = [tuple(prefix + name for name in names) for prefix in prefixes]
-    return [group for group in groups if all(name in image.planes for name in group)]
-
-
-def _find_colour(image: _Image, layer: str | None) -> tuple[str, ...]:
-    """Return the names of R, G, B and, if there is one, A."""
-    if layer is not None:
-        groups = [tuple(f"{layer}.{name}" for name in "RGB")]
-        if not set(groups[0]) <= image.planes.keys():
-            raise image.problem(f"lacks {', '.join(groups[0])}", "colour_layer")
-    elif {"R", "G", "B"} <= image.planes.keys():
-        groups = [("R", "G", "B")]
-    else:
-        known = (_groups(image, [prefix + name for name in "RGB"]) for prefix in COLOUR_NAMES)
-        groups = next((groups for groups in known if groups), [])
-    if len(groups) != 1:
-        raise image.problem("the colour channels are ambiguous" if groups else "lacks colour channels", "colour_layer")
-    alpha = groups[0][0].removesuffix("R") + "A"
-    return (*groups[0], alpha) if alpha in image.planes else groups[0]
-
-
-def _find_depth(image: _Image, channel: str | None) -> str:
-    """Return the name of the depth channel."""
-    if channel is not None:
-        if channel not in image.planes:
-            raise image.problem(f"lacks the depth channel {channel}", "depth_channel")
-        return channel
-    beside_colour = [z for z, _ in _groups(image, ("Z", "R"))]
-    plain = ["Z"] if "Z" in image.planes else []
-    named = [group[0] for name in DEPTH_NAMES for group in _groups(image, (name,))]
-    found = list(dict.fromkeys(plain + beside_colour + named))
-    if len(found) != 1:
-        what = f"has several depth channels ({', '.join(found)})" if found else "lacks a depth channel"
-        raise image.problem(what, "depth_channel")
-    return found[0]
-
-
-def _find_motion(
-    image: _Image, channels: Sequence[str] | None, convention: str | None
-) -> tuple[MotionConvention, tuple[str, ...]] | None:
-    """Return the motion convention and its channels, or None if the file has no motion."""
-    rows = MOTION_CONVENTIONS if convention is None else {convention: MOTION_CONVENTIONS[convention]}
-    if channels is not None:
-        return _given_motion(image, tuple(channels), rows)
-    found = [(row, group) for row in rows.values() if row.channels for group in _groups(image, row.channels)]
-    # A convention that extends another one is the one that was meant.
-    found = [(row, group) for row, group in found if not any(set(group) < set(other) for _, other in found)]
-    if len(found) > 1:
-        names = " or ".join(", ".join(group) for _, group in found)
-        raise image.problem(f"has several sets of motion channels ({names})", "motion_channels or motion_convention")
-    if not found and convention is not None:
-        raise image.problem(f"lacks the motion channels of the convention {convention}", "motion_channels")
-    return found[0] if found else None
-
-
-def _given_motion(
-    image: _Image, channels: tuple[str, ...], rows: Mapping[str, MotionConvention]
-) -> tuple[MotionConvention, tuple[str, ...]]:
-    """Return the convention of explicitly named channels: the only row allowed, or the one with these names."""
-    missing = [name for name in channels if name not in image.planes]
-    if missing:
-        raise image.problem(f"lacks the motion channel {', '.join(missing)}", "motion_channels")
-    if len(rows) == 1:
-        ((name, row),) = rows.items()
-        if len(channels) != row.n_channels:
-            raise InvalidParameterError(
-                f"motion_channels names {len(channels)} channels; the motion_convention {name} takes {row.n_channels}"
-            )
-        return row, channels
-    for row in rows.values():
-        if row.channels and channels in _groups(image, row.channels):
-            return row, channels
-    raise image.problem(f"the meaning of {', '.join(channels)} is not known", "motion_convention")
-
-
-def _check_choice(option: str, value: str, allowed: Mapping[str, object]) -> None:
-    """Raise InvalidParameterError unless an option has one of its values."""
-    if value not in allowed:
-        raise InvalidParameterError(f"{option} is {value!r}; allowed are {', '.join(allowed)}")
-
-
-# --- Channels to arrays --------------------------------------------------------------------------------------------
-
-
-def _check_same_window(image: _Image, names: Sequence[str]) -> None:
-    """Raise InvalidFileError unless the channels have every pixel of one common window."""
-    first = image.planes[names[0]]
-    for name in names:
-        plane = image.planes[name]
-        if plane.sampling != (1, 1):
-            raise InvalidFileError(f"{image.path}: channel {name} is subsampled; every pixel needs a value")
-        if plane.window != first.window or plane.pixels.shape != (plane.window.height, plane.window.width):
-            raise InvalidFileError(
-                f"{image.path}: channel {name} covers {plane.window.width} x {plane.window.height} px at "
-                f"({plane.window.left}, {plane.window.top}), channel {names[0]} {first.window.width} x "
-                f"{first.window.height} px at ({first.window.left}, {first.window.top}); they must agree"
-            )
-
-
-def _gather(image: _Image, names: Sequence[str]) -> FloatArray:
-    """Return channels as (H, W, n) float32 in the display window, zero where the data window does not reach."""
-    display = image.display
-    result = np.zeros((display.height, display.width, len(names)), np.float32)
-    for index, name in enumerate(names):
-        plane = image.planes[name]
-        target, source = _overlap(display, plane.window)
-        result[(*target, index)] = plane.pixels[source]
-    return result
-
-
-def _overlap(display: _Window, data: _Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the rows and columns that two windows share, counted in the one and in the other."""
-    left, right = max(display.left, data.left), min(display.left + display.width, data.left + data.width)
-    top, bottom = max(display.top, data.top), min(display.top + display.height, data.top + data.height)
-    right, bottom = max(left, right), max(top, bottom)
-    shared = [(slice(top - w.top, bottom - w.top), slice(left - w.left, right - w.left)) for w in (display, data)]
-    return shared[0], shared[1]
-
-
-def _radiance(image: _Image, names: Sequence[str]) -> FloatArray:
+def _radiance(image: Image, names: Sequence[str]) -> FloatArray:
     """Return the colours; opaque ones get an alpha where their data window does not fill the display window."""
-    colours = _gather(image, names)
+    colours = gather(image, names)
     window = image.planes[names[0]].window
     if len(names) == 4 or window == image.display:
         return colours
     coverage = np.zeros((*colours.shape[:2], 1), np.float32)
-    coverage[_overlap(image.display, window)[0]] = 1
+    coverage[overlap(image.display, window)[0]] = 1
     return np.concatenate([colours, coverage], axis=2)
 
 
-def _motion_labels(convention: MotionConvention, names: Sequence[str], image: _Image) -> dict[str, FloatArray]:
-    """Return the motion arrays that a convention defines, by the names of `Frame`'s parameters."""
-    matrices = {
-        "motion": convention.motion,
-        "motion_prev": convention.motion_prev,
-        "motion_next": convention.motion_next,
-    }
-    channels = _gather(image, names)
-    return {name: _combined(channels, matrix) for name, matrix in matrices.items() if matrix is not None}
-
-
-def _combined(channels: FloatArray, matrix: Matrix) -> FloatArray:
-    """Return weighted sums of channels, (H, W, 2); a channel of weight zero is not touched, so its NaN stays out."""
-    result = np.zeros((*channels.shape[:2], 2), np.float32)
-    for axis, weights in enumerate(matrix):
-        for index, weight in enumerate(weights):
-            if weight:
-                result[..., axis] += np.float32(weight) * channels[..., index]
-    return result
-
-
-def _named_frame(
-    image: _Image, radiance: FloatArray, depth: FloatArray, labels: Mapping[str, FloatArray], repair: bool
-) -> Frame:
-    """Return a frame; its errors start with the file's path."""
-    try:
-        return Frame(radiance, depth, **labels, repair=repair)
-    except InvalidFrameError as error:
-        raise InvalidFrameError(f"{image.path}: {error}") from None
-
-
 # --- Writing -------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
-    """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
-    target = Path(os.path.realpath(path))
-    if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise
-        raise InvalidFileError(f"{path}: cannot be written: it exists and is not a regular file")
-    if not os.path.isdir(target.parent):
-        raise InvalidFileError(f"{path}: cannot be written: there is no folder {target.parent}")
-    temporary = target.with_name(f".spreadlets-{secrets.token_hex(8)}{suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, target)
-    except (OSError, *LIBRARY_ERRORS) as error:
-        raise InvalidFileError(f"{path}: cannot be written: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _part_header() -> dict[str, Any]:
-    return {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
 
 def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, str | int | float]:
@@ -645,13 +431,28 @@ def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, st
     return dict(metadata)
 
 
-def _frame_channels(layer: Layer) -> dict[str, FloatArray]:
-    """Return a layer's channels by name, as contiguous planes."""
-    channels = {name: layer.radiance[..., index] for index, name in enumerate("RGBA")}
-    channels["Z"] = layer.depth
-    paths = {"motion": layer.motion if layer.has_motion else None}
-    paths |= {"motion_prev": layer.motion_prev, "motion_next": layer.motion_next}
-    for name, path in paths.items():
-        if path is not None:
-            channels |= {f"{name}.x": path[..., 0], f"{name}.y": path[..., 1]}
-    return {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+def _stored_channels(layer: Layer, row: Preset, scale: Scale, unpremultiplied: bool) -> dict[str, FloatArray]:
+    """Return a layer's channels by the names of a preset, as contiguous planes."""
+    colours = layer.radiance
+    if unpremultiplied:
+        alpha = colours[..., 3:]
+        rgb = np.divide(colours[..., :3], alpha, out=np.zeros_like(colours[..., :3]), where=alpha > 0)
+        colours = np.concatenate([rgb, alpha], axis=2)
+    channels = {row.colour + name: colours[..., index] for index, name in enumerate("RGBA")}
+    depth_name, depth_convention = row.depth[0]
+    channels[depth_name] = stored_depth(depth_convention, layer.depth, scale)
+    if layer.has_motion:
+        curved = layer.motion_prev is not None
+        names, convention = next(
+            (item for item in row.motion if MOTION_CONVENTIONS[item[1]].curved == curved), row.motion[0]
+        )
+        stored = stored_motion(convention, _paths(layer), layer.depth, scale)
+        channels |= {name: stored[..., index] for index, name in enumerate(names)}
+    return {row.prefix + name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+
+
+def _paths(layer: Layer) -> dict[str, FloatArray]:
+    """Return the motion labels of a layer; a straight path has the same motion before and after the frame."""
+    before = layer.motion if layer.motion_prev is None else layer.motion_prev
+    after = layer.motion if layer.motion_next is None else layer.motion_next
+    return {"motion": layer.motion, "motion_prev": before, "motion_next": after}

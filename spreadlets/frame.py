@@ -221,22 +221,25 @@ def check_finite(name: str, array: FloatArray) -> None:
     """Raise InvalidFrameError naming the first pixel and the count if an (H, W, ...) array is not finite."""
     bad = _not_finite(array)
     if bad.any():
-        raise InvalidFrameError(_Problem(name, "not finite", "finite numbers", bad).message())
+        raise InvalidFrameError(Problem(name, "not finite", "finite numbers", bad).message())
 
 
-class _Problem(NamedTuple):
-    """What is wrong with which pixels of an array."""
+class Problem(NamedTuple):
+    """What is wrong with which pixels of an array, or with which samples of its pixels."""
 
     array: str
     what: str
     allowed: str
-    pixels: BoolArray
+    places: BoolArray
 
     def message(self) -> str:
-        row, col = np.unravel_index(int(np.argmax(self.pixels)), self.pixels.shape)
-        count = int(np.count_nonzero(self.pixels))
+        """Return a line that names the array, the count, the first place, and what is allowed."""
+        first = np.unravel_index(int(np.argmax(self.places)), self.places.shape)
+        count = int(np.count_nonzero(self.places))
+        kind = "pixels" if self.places.ndim == 2 else "samples"
+        where = ", ".join(f"{axis} {index}" for axis, index in zip(("row", "col", "sample"), first, strict=False))
         return (
-            f"{self.array} is {self.what} at {count} of {self.pixels.size} pixels, first at (row {row}, col {col}); "
+            f"{self.array} is {self.what} at {count} of {self.places.size} {kind}, first at ({where}); "
             f"allowed: {self.allowed}"
         )
 
@@ -303,8 +306,8 @@ def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int]:
     for problem in _problems(layer):
         if not repair:
             raise InvalidFrameError(f"{problem.message()} (or repair the frame, which drops these pixels)")
-        dropped |= problem.pixels
-    radiance = _replaced(layer.radiance, dropped, np.float32(0))
+        dropped |= problem.places
+    radiance = replaced(layer.radiance, dropped, np.float32(0))
     alpha = radiance[..., 3]
     outside = (alpha < 0) | (alpha > 1)
     if outside.any():
@@ -315,35 +318,35 @@ def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int]:
     mended = replace(
         layer,
         radiance=radiance,
-        depth=_replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH),
-        motion=_replaced(layer.motion, _not_finite(layer.motion), np.float32(0)),
-        motion_prev=None if before is None else _replaced(before, _not_finite(before), np.float32(0)),
-        motion_next=None if after is None else _replaced(after, _not_finite(after), np.float32(0)),
+        depth=replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH),
+        motion=replaced(layer.motion, _not_finite(layer.motion), np.float32(0)),
+        motion_prev=None if before is None else replaced(before, _not_finite(before), np.float32(0)),
+        motion_next=None if after is None else replaced(after, _not_finite(after), np.float32(0)),
     )
     return mended, int(np.count_nonzero(dropped))
 
 
-def _problems(layer: Layer) -> list[_Problem]:
+def _problems(layer: Layer) -> list[Problem]:
     """Return what is wrong with a layer's values, one array and kind at a time."""
-    checks = [_Problem("radiance", "not finite", "finite linear values", _not_finite(layer.radiance))]
+    checks = [Problem("radiance", "not finite", "finite linear values", _not_finite(layer.radiance))]
     alpha = layer.radiance[..., 3]
     wrong_alpha = (alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE)
-    checks.append(_Problem("alpha (the fourth channel of radiance)", "out of range", "0 to 1", wrong_alpha))
+    checks.append(Problem("alpha (the fourth channel of radiance)", "out of range", "0 to 1", wrong_alpha))
     visible = alpha > 0
     metres = "metres > 0, or inf for background"
-    checks.append(_Problem("depth", "NaN", metres, visible & np.isnan(layer.depth)))
-    checks.append(_Problem("depth", "zero or negative", metres, visible & (layer.depth <= 0)))
+    checks.append(Problem("depth", "NaN", metres, visible & np.isnan(layer.depth)))
+    checks.append(Problem("depth", "zero or negative", metres, visible & (layer.depth <= 0)))
     paths = {"motion_prev": layer.motion_prev, "motion_next": layer.motion_next, "motion": layer.motion}
     for name, path in paths.items():
         if path is not None:
-            checks.append(_Problem(name, "not finite", "finite px per frame", visible & _not_finite(path)))
-    return [check for check in checks if check.pixels.any()]
+            checks.append(Problem(name, "not finite", "finite px per frame", visible & _not_finite(path)))
+    return [check for check in checks if check.places.any()]
 
 
-def _replaced(array: FloatArray, pixels: BoolArray, value: np.float32) -> FloatArray:
-    """Return the array with some pixels set to a value; a copy only if there are any."""
-    if not pixels.any():
+def replaced(array: FloatArray, places: BoolArray, value: np.float32) -> FloatArray:
+    """Return the array with some pixels or samples set to a value; a copy only if there are any."""
+    if not places.any():
         return array
     changed = array.copy()
-    changed[pixels] = value
+    changed[places] = value
     return changed

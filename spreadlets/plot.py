@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from spreadlets.database import Database
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.exr import PathLike, atomic_path
+from spreadlets.exr_file import PathLike, atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -119,6 +119,141 @@ def test_info_and_compare(run, scene, small_combined_path):
     assert "ssim" in out
 
 
+def test_info_of_a_frame_shows_what_was_recognised(run, scene):
+    status, out, _ = run("info", scene / "frame.exr", "--json")
+    report = json.loads(out)
+    assert status == 0 and report["kind"] == "frame" and report["width"] == 32
+    assert report["layers"][0]["motion"]["longest_px"] == pytest.approx(np.sqrt(32)) and report["problems"] == []
+    status, out, _ = run("info", scene / "frame.exr", "--depth-scale", "0.01")
+    assert status == 0 and "planar" in out and "min_m" in out and "0.05" in out
+    options = ("--depth-convention", "ray", "--camera", scene / "camera.json", "--motion-channels", "none")
+    status, out, _ = run("info", scene / "frame.exr", *options, "--json")
+    layer = json.loads(out)["layers"][0]
+    assert layer["depth"]["min_m"] < 5 and layer["motion"] is None
+
+
+def test_options_of_frames_and_databases_are_not_mixed(run, scene, small_combined_path):
+    status, _, err = run("info", small_combined_path, "--preset", "nuke")
+    assert status == 2 and "is no frame" in err
+    status, _, err = run("info", scene / "frame.exr", "--plot", scene / "plot.png")
+    assert status == 2 and "--plot is for databases" in err
+
+
+def test_a_preset_reaches_the_frame(run, scene, small_combined_path):
+    expected = exr.read_frame(scene / "frame.exr")
+    assert run(*synth_arguments(scene, small_combined_path))[0] == 0
+    image = exr.read_image(scene / "out.exr")
+    exr.write_frame(scene / "frame.exr", expected, preset="nuke", unpremultiplied=True, depth_scale=0.01)
+    named = ("--preset", "nuke", "--unpremultiplied", "--depth-scale", "0.01")
+    status, _, err = run(*synth_arguments(scene, small_combined_path), *named)
+    assert status == 0 and err == ""
+    assert np.allclose(exr.read_image(scene / "out.exr"), image, atol=1e-5)
+    named = ("--motion-channels", "forward.u,forward.v", "--motion-convention", "backward-norm", *named)
+    status, _, err = run(*synth_arguments(scene, small_combined_path), *named, "--max-displacement", "2")
+    assert status == 0 and not np.allclose(exr.read_image(scene / "out.exr"), image, atol=1e-3)
+
+
+def test_a_deep_frame_is_made_into_layers(run, scene, small_combined_path):
+    import spreadlets as sp
+
+    n = 2 * 24 * 32
+    depth = np.tile(np.float32([4, 6]), n // 2)
+    image = sp.DeepImage(np.full((24, 32), 2), np.tile(np.float32([0.5, 0.5, 0.5, 0.5]), (n, 1)), depth, depth)
+    sp.write_deep(scene / "frame.exr", image)
+    status, out, _ = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 2
+    status, out, _ = run(*synth_arguments(scene, small_combined_path), "--deep-layers", "1", "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 1
+
+
+@pytest.fixture
+def shot(scene):
+    frame = exr.read_frame(scene / "frame.exr")
+    for number in (1, 2, 3):
+        exr.write_frame(scene / f"shot.{number:04d}.exr", Frame(frame.radiance * number / 3, frame.depth, frame.motion))
+        exr.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
+    return scene
+
+
+def sequence_arguments(shot, database, *more):
+    options = ("-o", shot / "out.%02d.exr", "--camera", shot / "camera.json", "--db", database, *more)
+    return ["synth", shot / "shot.####.exr", *options]
+
+
+def test_a_sequence_is_one_report_and_resumes(run, shot, small_combined_path):
+    truth = ("--reference", shot / "truth.####.exr")
+    status, out, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "1-2", *truth), "--json")
+    report = json.loads(out)
+    assert (status, err) == (0, "") and (report["written"], report["skipped"]) == (2, 0)
+    assert [entry["frame"] for entry in report["frames"]] == [1, 2]
+    assert all("splat" in entry["time_s"] and "ssim" in entry for entry in report["frames"])
+    before = (shot / "out.01.exr").read_bytes()
+    (shot / "shot.0001.exr").write_bytes((shot / "shot.0003.exr").read_bytes())
+    status, out, err = run(*sequence_arguments(shot, small_combined_path))
+    assert status == 0 and "written            1" in out and "kept" in out and "out.%02d.exr" in err
+    assert (shot / "out.01.exr").read_bytes() == before
+    assert run(*sequence_arguments(shot, small_combined_path, "--overwrite"))[0] == 0
+    assert np.array_equal(exr.read_image(shot / "out.01.exr"), exr.read_image(shot / "out.03.exr"))
+
+
+def test_a_sequence_opens_its_database_once(run, shot, small_combined_path, monkeypatch):
+    from spreadlets import database
+
+    opened = []
+    plain = database.open_database
+    monkeypatch.setattr(database, "open_database", lambda name: opened.append(name) or plain(name))
+    assert run(*sequence_arguments(shot, small_combined_path))[0] == 0
+    assert opened == [str(small_combined_path)]
+
+
+def test_missing_frames_of_a_sequence_are_named(run, shot, small_combined_path):
+    status, _, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "2-6"))
+    assert status == 2 and "3 frames are missing: 4-6" in err and not list(shot.glob("out*"))
+    (shot / "shot.0002.exr").unlink()
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 0 and "warning: the sequence has no frames 2" in err
+    assert len(json.loads(out)["frames"]) == 2
+
+
+def test_an_interrupted_sequence_leaves_whole_frames_only(run, shot, small_combined_path, monkeypatch):
+    from spreadlets import api
+
+    plain, calls = api.synthesize, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(api, "synthesize", interrupted)
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 130 and out == "" and "interrupted" in err
+    assert [path.name for path in shot.iterdir() if "out" in path.name or path.name.startswith(".")] == ["out.01.exr"]
+    assert exr.read_image(shot / "out.01.exr").shape == (24, 32, 4)
+
+
+def test_a_bad_frame_of_a_sequence_is_named_and_earlier_ones_stay(run, shot, small_combined_path):
+    (shot / "shot.0002.exr").write_bytes(b"no image")
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 2 and out == "" and "error: frame 2: " in err and err.count("\n") == 1
+    assert [path.name for path in shot.glob("out*")] == ["out.01.exr"]
+
+
+def test_a_sequence_warns_of_its_conventions_once(run, shot, small_combined_path):
+    for number in (1, 2, 3):
+        frame = exr.read_frame(shot / f"shot.{number:04d}.exr")
+        exr.write_frame(shot / f"shot.{number:04d}.exr", frame, preset="karma")
+    status, _, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 0 and err.count("Karma") == 1 and "shot.0001.exr" in err
+
+
+def test_sequence_options_need_a_sequence(run, scene, small_combined_path):
+    for option in (("--frames", "1-2"), ("--overwrite",)):
+        status, _, err = run(*synth_arguments(scene, small_combined_path), *option)
+        assert status == 2 and "are for sequences" in err
+
+
 def test_build_writes_a_database(run, tmp_path):
     output = tmp_path / "tiny.h5"
     arguments = ("--samples", 6, "--max-coc", 5, "--jobs", 1, "--seed", 3, "--density", "0.5")

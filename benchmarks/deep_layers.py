@@ -1,0 +1,66 @@
+"""Deep images as depth layers: cut where surfaces part, by rank, and the layers as they were rendered.
+
+The rendered depth layers of coins and fence (``--frames``, default ../shared/frames; skips cleanly where they are
+missing) are stored as one deep image each and read again. SSIM is against the renderer's own depth of field and motion
+blur. Writes deep_layers.txt to benchmarks/results.
+
+    python benchmarks/deep_layers.py [--frames DIR] [--db combined]
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import spreadlets as sp
+
+RESULTS = Path(__file__).parent / "results"
+SCENES = {"coins": 4, "fence": 3}
+COLUMNS = ("scene", "layers", "made", "ssim")
+
+
+def deep_of(layers: list[sp.Frame]) -> sp.DeepImage:
+    """Return the visible pixels of layers as deep samples, nearest first."""
+    alpha = np.stack([layer.radiance[..., 3] for layer in layers], axis=2)
+    there = alpha > 0
+    radiance, depth, motion = (
+        np.stack([getattr(layer, name) for layer in layers], axis=2)[there] for name in ("radiance", "depth", "motion")
+    )
+    return sp.DeepImage(there.sum(axis=2), radiance, depth, depth, motion)
+
+
+def by_rank(layers: list[sp.Frame]) -> sp.Frame:
+    """Return a frame whose layer k holds the k-th sample of every pixel."""
+    order = np.argsort(np.stack([layer.radiance[..., 3] == 0 for layer in layers]), axis=0, kind="stable")
+    arrays = [np.stack([getattr(layer, name) for layer in layers]) for name in ("radiance", "depth", "motion")]
+    ranked = [np.take_along_axis(a, order.reshape(order.shape + (1,) * (a.ndim - 3)), axis=0) for a in arrays]
+    return sp.Frame.from_layers(list(zip(*ranked, strict=True)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--db", default="combined")
+    arguments = parser.parse_args()
+    if not (arguments.frames / "coins_layer0.exr").exists():
+        print(f"skipped: no frames in {arguments.frames}")
+        return
+    lines = [f"{COLUMNS[0]:<8}{COLUMNS[1]:<14}{COLUMNS[2]:>6}{COLUMNS[3]:>8}"]
+    with sp.open_database(arguments.db) as database, tempfile.TemporaryDirectory() as folder:
+        for scene, count in SCENES.items():
+            layers = [sp.read_frame(arguments.frames / f"{scene}_layer{index}.exr") for index in range(count)]
+            camera = sp.read_camera(arguments.frames / f"{scene}.json")
+            reference = sp.read_image(arguments.frames / f"{scene}_ref_dofmb.exr")
+            sp.write_deep(f"{folder}/deep.exr", deep_of(layers))
+            cut = sp.read_frame(f"{folder}/deep.exr")
+            frames = {"as rendered": sp.Frame.from_layers(layers), "deep, cut": cut, "deep, by rank": by_rank(layers)}
+            for name, frame in frames.items():
+                ssim = sp.metrics.ssim(sp.synthesize(frame, camera, database), reference)
+                lines.append(f"{scene:<8}{name:<14}{len(frame.layers):>6}{ssim:>8.4f}")
+                print(lines[-1], flush=True)
+    (RESULTS / "deep_layers.txt").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

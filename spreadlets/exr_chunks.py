@@ -1,0 +1,273 @@
+"""Deep scanlines of OpenEXR files, unpacked into flat arrays, and their size, known before any of it is unpacked.
+
+The library's binding would give an array object for every pixel and channel, gigabytes for a high-definition frame, and
+the header does not tell how many samples there are.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.errors import InvalidFileError
+
+MAGIC = 20000630
+MULTI_PART = 0x1000
+"""Bit of the version field."""
+
+MAX_HEADER_BYTES = 1 << 24
+"""Previews are the largest attributes of real headers; 16 MiB is far above any."""
+
+CHANNEL_TYPES: Mapping[int, np.dtype[Any]] = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
+NO_COMPRESSION, RLE, ZIPS = 0, 1, 2
+"""What OpenEXR allows for deep scanlines: one line per chunk, each."""
+
+_MALFORMED = (EOFError, struct.error, OSError, KeyError, ValueError, OverflowError, zlib.error)
+
+
+@dataclass(frozen=True, eq=False)
+class DeepPart:
+    """The samples of a deep part.
+
+    Attributes
+    ----------
+    counts : ndarray of shape (h, w), int64
+        Samples in each pixel of the data window.
+    channels : mapping of str to ndarray of shape (N,), float32
+        Samples of each channel, pixel after pixel in row-major order.
+    """
+
+    counts: npt.NDArray[np.int64]
+    channels: Mapping[str, npt.NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class _PartHeader:
+    """What a part's header says about its chunks."""
+
+    deep: bool
+    n_chunks: int
+    window: tuple[int, int, int, int]
+    compression: int
+    types: Mapping[str, np.dtype[Any]]
+
+
+def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
+    """Return how many bytes the unpacked samples of all deep scanlines take.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file that the library has opened.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InvalidFileError
+        If the file ends early or its tables point outside it.
+    """
+    try:
+        with open(path, "rb") as file:
+            multi_part, headers, offsets = _tables(file)
+            deep = [table for header, table in zip(headers, offsets, strict=True) if header.deep]
+            return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
+    except _MALFORMED as error:
+        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
+
+
+def read_deep_part(path: str | os.PathLike[str], part: int) -> DeepPart:
+    """Return the samples of a deep part.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file that the library has opened, of a size that was checked.
+    part : int
+        Which part, from 0.
+
+    Returns
+    -------
+    DeepPart
+
+    Raises
+    ------
+    InvalidFileError
+        If the file is truncated or corrupt, a channel is subsampled, or the compression is none that deep scanlines may
+        have.
+    """
+    try:
+        with open(path, "rb") as file:
+            multi_part, headers, offsets = _tables(file)
+            return _deep_part(file, headers[part], offsets[part], multi_part)
+    except _MALFORMED as error:
+        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
+
+
+def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], multi_part: bool) -> DeepPart:
+    """Unpack the lines of a part, in any order.
+
+    Notes
+    -----
+    OpenEXR file layout: a chunk is its header, the running count of samples over the line's pixels, and the samples of
+    one channel after the other; counts and samples are packed each by itself.
+    """
+    left, top, right, bottom = header.window
+    width, height = right - left + 1, bottom - top + 1
+    if len(offsets) != height:
+        raise ValueError(f"there are {len(offsets)} chunks for {height} lines")
+    counts = np.zeros((height, width), np.int64)
+    lines: dict[int, dict[str, npt.NDArray[np.float32]]] = {}
+    bytes_per_sample = sum(dtype.itemsize for dtype in header.types.values())
+    for offset in offsets:
+        y, packed_counts, packed_samples, unpacked = _chunk_header(file, offset, multi_part)
+        if not top <= y <= bottom or y in lines:
+            raise ValueError(f"there is a line {y}")
+        running = np.frombuffer(_unpacked(file, packed_counts, 4 * width, header.compression), "<i4").astype(np.int64)
+        counts[y - top] = np.diff(running, prepend=0)
+        n = int(running[-1])
+        if (counts[y - top] < 0).any() or n * bytes_per_sample != unpacked:
+            raise ValueError(f"the counts of line {y} are wrong")
+        samples = _unpacked(file, packed_samples, unpacked, header.compression)
+        lines[y] = {}
+        begin = 0
+        for name, dtype in header.types.items():
+            values = np.frombuffer(samples, dtype, n, begin)
+            lines[y][name] = values.astype(np.float32)
+            begin += values.nbytes
+    ordered = [lines[y] for y in range(top, bottom + 1)]
+    return DeepPart(counts, {name: np.concatenate([line[name] for line in ordered]) for name in header.types})
+
+
+def _unpacked(file: BinaryIO, packed: int, size: int, compression: int) -> bytes:
+    """Read and unpack a block of known size; one that would not shrink is stored as it is."""
+    if packed > os.fstat(file.fileno()).st_size:
+        raise EOFError("the file ends early")
+    block = _exactly(file, packed)
+    if packed == size or compression == NO_COMPRESSION:
+        result = block
+    elif compression == ZIPS:
+        result = _reordered(zlib.decompressobj().decompress(block, size + 1))
+    elif compression == RLE:
+        result = _reordered(_runs(block, size))
+    else:
+        raise ValueError(f"deep scanlines cannot have the compression {compression}")
+    if len(result) != size:
+        raise ValueError(f"a block has {len(result)} bytes in place of {size}")
+    return result
+
+
+def _reordered(block: bytes) -> bytes:
+    """Undo OpenEXR's predictor (bytes are differences plus 128) and put the halves' bytes in turn."""
+    differences = np.frombuffer(block, np.uint8)
+    values = np.cumsum(differences, dtype=np.uint8)
+    values[1::2] ^= 128  # 128 less for each step, modulo 256
+    result = np.empty_like(values)
+    half = (values.size + 1) // 2
+    result[0::2], result[1::2] = values[:half], values[half:]
+    return result.tobytes()
+
+
+def _runs(block: bytes, size: int) -> bytes:
+    """Undo run lengths: -n is followed by n bytes, n by one that stands n + 1 times."""
+    result = bytearray()
+    at = 0
+    while at < len(block) and len(result) <= size:
+        length = block[at] - 256 if block[at] > 127 else block[at]
+        if length < 0:
+            result += block[at + 1 : at + 1 - length]
+            at += 1 - length
+        else:
+            result += block[at + 1 : at + 2] * (length + 1)
+            at += 2
+    return bytes(result)
+
+
+# --- Headers -------------------------------------------------------------------------------------------------------
+
+
+def _tables(file: BinaryIO) -> tuple[bool, list[_PartHeader], list[Sequence[int]]]:
+    """Return whether there are several parts, their headers, and where the chunks of each begin."""
+    magic, version = struct.unpack("<iI", _exactly(file, 8))
+    if magic != MAGIC:
+        raise ValueError("not an OpenEXR file")
+    multi_part = bool(version & MULTI_PART)
+    headers = _headers(file, multi_part)
+    if 8 * sum(header.n_chunks for header in headers) > os.fstat(file.fileno()).st_size:
+        raise EOFError("the file ends early")
+    tables = [struct.unpack(f"<{header.n_chunks}Q", _exactly(file, 8 * header.n_chunks)) for header in headers]
+    return multi_part, headers, list(tables)
+
+
+def _headers(file: BinaryIO, multi_part: bool) -> list[_PartHeader]:
+    headers: list[_PartHeader] = []
+    while attributes := _attributes(file):  # an empty header ends those of several parts
+        headers.append(_part_header(attributes))
+        if not multi_part:
+            break
+    return headers
+
+
+def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
+    window: tuple[int, int, int, int] = struct.unpack("<4i", attributes["dataWindow"])
+    n_chunks = window[3] - window[1] + 1
+    if "chunkCount" in attributes:
+        (n_chunks,) = struct.unpack("<i", attributes["chunkCount"])
+    if n_chunks < 0:
+        raise ValueError("a part has a negative number of chunks")
+    types: dict[str, np.dtype[Any]] = {}
+    names = attributes["channels"]
+    while names and names[0]:
+        name, _, rest = names.partition(b"\0")
+        kind, _, *sampling = struct.unpack_from("<iIii", rest)
+        if sampling != [1, 1] and attributes.get("type") == b"deepscanline":
+            raise ValueError(f"the channel {name.decode('latin-1')} is subsampled")
+        types[name.decode("latin-1")] = CHANNEL_TYPES[kind]
+        names = rest[16:]
+    deep = attributes.get("type") == b"deepscanline"
+    return _PartHeader(deep, n_chunks, window, attributes["compression"][0], types)
+
+
+def _attributes(file: BinaryIO) -> dict[str, bytes]:
+    """Read one header: names and values up to an empty name."""
+    attributes: dict[str, bytes] = {}
+    while name := _text(file):
+        _text(file)  # the type
+        (size,) = struct.unpack("<i", _exactly(file, 4))
+        if not 0 <= size <= MAX_HEADER_BYTES:
+            raise EOFError(f"the attribute {name!r} has {size} bytes")
+        attributes[name] = _exactly(file, size)
+    return attributes
+
+
+def _text(file: BinaryIO) -> str:
+    """Read characters up to a zero."""
+    result = bytearray()
+    while (character := _exactly(file, 1)) != b"\0":
+        result += character
+        if len(result) > 255:
+            raise EOFError("a name has more than 255 characters")
+    return result.decode("latin-1")
+
+
+def _chunk_header(file: BinaryIO, offset: int, multi_part: bool) -> tuple[int, int, int, int]:
+    """Return a chunk's y, its packed sizes of counts and samples, and the unpacked size of the samples, bytes."""
+    file.seek(offset + (4 if multi_part else 0))
+    y, packed_counts, packed_samples, unpacked = struct.unpack("<iQQQ", _exactly(file, 28))
+    return y, packed_counts, packed_samples, unpacked
+
+
+def _exactly(file: BinaryIO, size: int) -> bytes:
+    content = file.read(size)
+    if len(content) < size:
+        raise EOFError("the file ends early")
+    return content
