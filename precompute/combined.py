@@ -3,10 +3,16 @@
 import numpy as np
 import numpy.typing as npt
 
-from precompute.line_sample import Segments, lens_chords, tent
+from precompute.line_sample import Segments, Tracer, lens_chords, point_symmetric, tent
+from spreadlets.psf_model import PsfModel
 
 N_DIMENSIONS = 4
 """Place of the chord, circle of confusion, length of the motion, its direction."""
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces this model; both sides of the focus are alike."""
+    return Tracer(N_DIMENSIONS, trace, reach, point_symmetric)
 
 
 def trace(

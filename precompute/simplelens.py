@@ -3,13 +3,19 @@
 import numpy as np
 import numpy.typing as npt
 
-from precompute.line_sample import Segments, lens_chords, tent
+from precompute.line_sample import Segments, Tracer, lattice_symmetric, lens_chords, tent
+from spreadlets.psf_model import PsfModel
 
 N_DIMENSIONS = 2
 """Place of the chord, circle of confusion."""
 
 CHORD_ANGLE = 0.3
 """Direction of all chords, radians: far from the lattice's axes and diagonals, to which parallel chords would beat."""
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces this model; both sides of the focus are alike."""
+    return Tracer(N_DIMENSIONS, trace, reach, lattice_symmetric)
 
 
 def trace(

@@ -5,7 +5,7 @@ import math
 import numba
 import numpy as np
 
-from spreadlets._kernels import cell_index, fold_direction, grid_coordinate
+from spreadlets._kernels import cell_index, fold_pose, grid_coordinate
 
 INVISIBLE = -1
 SHARP = 0
@@ -23,7 +23,7 @@ def _scale_step(excess, steps_per_octave, n_scales):
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
+def variant_keys(radiance, coordinate, pose, sharp, grid, scales, key, excess):
     """Map the labels of each pixel to the key of its variant.
 
     Parameters
@@ -32,21 +32,23 @@ def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
         Pixels of zero colour and alpha get the key `INVISIBLE`.
     coordinate : ndarray of shape (n_axes, H, W), float32
         Physical coordinates.
-    path : ndarray of shape (H, W, 2), float32
-        Motion (dx, dy), whose direction is used.
+    pose : tuple
+        Vector (dx, dy) whose direction is used, (H, W, 2) float32; signed CoC radius, (H, W) float32; and the model's
+        `PoseSymmetry.codes`.
     sharp : ndarray of shape (H, W), bool
         Pixels that get the key `SHARP`.
     grid : tuple of ndarrays
         ``remap``, ``shape``, ``level_offset`` of the model's grid, ``cell_start`` of the database.
-    scales : tuple of two ints
-        Scale steps per octave, and number of scale steps.
+    scales : tuple
+        Scale steps per octave, number of scale steps, and which axes scale the PSF, (n_axes,) bool.
     key : ndarray of shape (H, W), int64
         Filled with ``1 + (8 * spreadlet + orientation) * n_scales + scale step``.
     excess : ndarray of shape (H, 2), float64
         Filled with each row's largest factor by which a PSF exceeds the range, and the number of such pixels.
     """
     remap, shape, level_offset, cell_start = grid
-    steps_per_octave, n_scales = scales
+    steps_per_octave, n_scales, scaling = scales
+    heading, coc, codes = pose
     n_axes = len(remap)
     for row in numba.prange(radiance.shape[0]):
         units = np.empty(n_axes, np.float64)
@@ -61,20 +63,20 @@ def variant_keys(radiance, coordinate, path, sharp, grid, scales, key, excess):
                 continue
             factor = 0.0
             for axis in range(n_axes):
-                factor = max(factor, coordinate[axis, row, col] / remap[axis, 0])
+                if scaling[axis]:
+                    factor = max(factor, coordinate[axis, row, col] / remap[axis, 0])
             step = _scale_step(factor, steps_per_octave, n_scales)
             if step:
                 excess[row, 0] = max(excess[row, 0], factor)
                 excess[row, 1] += 1
             shrink = 2.0 ** (-step / steps_per_octave) if step else 1.0
             for axis in range(n_axes):
-                units[axis] = grid_coordinate(coordinate[axis, row, col] * shrink, remap[axis], shape[axis])
+                value = coordinate[axis, row, col] * (shrink if scaling[axis] else 1.0)
+                units[axis] = grid_coordinate(value, remap[axis], shape[axis])
             cell = cell_index(units, shape, level_offset)
-            n_directions = cell_start[cell + 1] - cell_start[cell]
-            direction, transpose, flip_row, flip_col = 0, False, False, False
-            if n_directions > 1:
-                angle = math.atan2(path[row, col, 1], path[row, col, 0])
-                direction, transpose, flip_row, flip_col = fold_direction(angle, n_directions)
+            n_poses = cell_start[cell + 1] - cell_start[cell]
+            angle = math.atan2(heading[row, col, 1], heading[row, col, 0]) if n_poses > 1 else 0.0
+            direction, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, codes)
             orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
             key[row, col] = 1 + (8 * (cell_start[cell] + direction) + orientation) * n_scales + step
 

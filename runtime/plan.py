@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.frame import Frame, Layer
+from spreadlets.labels import DIRECTIONS, Labels, View, coordinates, ignored_effects
 from spreadlets.psf_model import PsfGrid
 
 SCALE_STEPS_PER_OCTAVE = 16
@@ -28,24 +28,6 @@ SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
-
-
-class Labels(NamedTuple):
-    """What the PSF of each pixel depends on, in pixels.
-
-    Attributes
-    ----------
-    coc : ndarray of shape (H, W), float32
-        Signed radius of the circle of confusion.
-    path : ndarray of shape (H, W, 2), float32
-        Motion (dx, dy) over the shutter.
-    shift : ndarray of shape (H, W, 2), float32, or None
-        From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
-    """
-
-    coc: npt.NDArray[np.float32]
-    path: npt.NDArray[np.float32]
-    shift: npt.NDArray[np.float32] | None
 
 
 @dataclass
@@ -97,16 +79,17 @@ def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool)
     """Turn depth and motion vectors into the PSF's parameters; an effect that is off has parameter 0."""
     height, width = layer.depth.shape
     still = np.zeros((height, width), np.float32)
+    view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
     coc = np.asarray(camera.coc_radius(layer.depth, width), np.float32) if defocus else still
     if not motion or not layer.has_motion:
-        return Labels(coc, np.broadcast_to(still[..., None], (height, width, 2)), None)
+        return Labels(coc, np.broadcast_to(still[..., None], (height, width, 2)), None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
-    return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift)
+    return Labels(coc, layer.motion * np.float32(camera.shutter_duration), shift, view)
 
 
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
     """Return the (cell, direction) pairs that a frame needs of a database with the given grid."""
-    cell_start = np.concatenate([[0], np.cumsum(grid.direction_counts)])
+    cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
         key, _ = _variant_keys(layer, label_pixels(layer, camera, defocus=True, motion=True), grid, cell_start)
@@ -164,30 +147,43 @@ def _variant_keys(
     layer: Layer, labels: Labels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
-    length = np.hypot(labels.path[..., 0], labels.path[..., 1])
-    radius = np.abs(labels.coc)
-    coordinate = _coordinates({"coc": radius, "motion": length}, grid)
-    key = np.empty(radius.shape, np.int64)
-    excess = np.empty((len(radius), 2), np.float64)
+    coordinate = _coordinates(labels, grid)
+    key = np.empty(labels.coc.shape, np.int64)
+    excess = np.empty((len(key), 2), np.float64)
     tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.level_offset, cell_start
-    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
-    sharp = radius + np.float32(0.5) * length <= SHARP_EXTENT
-    _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, sharp, tables, scales, key, excess)
+    scaling = np.array([axis.scales for axis in grid.model.axes])
+    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling
+    pose = np.ascontiguousarray(DIRECTIONS[grid.model.symmetry.angle](labels)), labels.coc, grid.model.symmetry.codes
+    _plan_kernels.variant_keys(layer.radiance, coordinate, pose, _sharp(labels, grid), tables, scales, key, excess)
     return key, excess
 
 
-def _coordinates(given: dict[str, npt.NDArray[np.float32]], grid: PsfGrid) -> npt.NDArray[np.float32]:
-    """Return the coordinates of each pixel in the model's parameter space, shape (n_axes, H, W)."""
-    names = [axis.name for axis in grid.model.axes]
-    for name in sorted(set(given) - set(names)):
-        share = 100.0 * float((given[name] > 0).mean())
-        if share > 0:
+def _sharp(labels: Labels, grid: PsfGrid) -> npt.NDArray[np.bool_]:
+    """Find the pixels whose PSF stays within the pixel; where other things than lens and motion blur, there are none."""
+    if not all(axis.scales for axis in grid.model.axes):
+        return np.zeros(labels.coc.shape, np.bool_)
+    length = np.hypot(labels.path[..., 0], labels.path[..., 1])
+    return np.asarray(np.abs(labels.coc) + np.float32(0.5) * length <= SHARP_EXTENT)
+
+
+def _coordinates(labels: Labels, grid: PsfGrid) -> npt.NDArray[np.float32]:
+    """Return the coordinates (n_axes, H, W) of each pixel; say what the model cannot show."""
+    for name, share in ignored_effects(labels, grid.model):
+        warnings.warn(
+            f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {100 * share:.1f} % of "
+            "the pixels",
+            stacklevel=2,
+        )
+    found = coordinates(labels, grid.model)
+    for axis, values in zip(grid.model.axes, found, strict=True):
+        share = float((values > axis.maximum).mean())
+        if share > 0 and not axis.scales:
             warnings.warn(
-                f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {share:.1f} % of "
-                "the pixels",
+                f"{100 * share:.2f} % of the pixels lie beyond the database's largest {axis.name}, "
+                f"{axis.maximum:g} {axis.unit}: its last cells are used there",
                 stacklevel=2,
             )
-    return np.stack([given[name] for name in names])
+    return found
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:

@@ -168,7 +168,8 @@ def build_database(
     if frames is not None and camera is not None:
         from runtime.plan import needed_spreadlets
 
-        grid = model_grid(model, **{name: options.get(name) for name in ("samples", "max_coc", "max_motion")})
+        of_build = ("density", "rays", "jobs", "seed", "progress")
+        grid = model_grid(model, **{name: value for name, value in options.items() if name not in of_build})
         options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))
     build(model, path, **options)
 
@@ -190,11 +191,14 @@ def _dense_psf(database: Database) -> Callable[[int, int, float], npt.NDArray[np
     from precompute.light_tracing import trace_psf
 
     def dense_psf(cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        grid = database.grid
+        stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
         return trace_psf(
-            database.grid.model,
-            database.grid.box(cell) * scale,
+            grid.model,
+            grid.box(cell) * stretch,
             direction=float(database.directions(cell)[direction]),
-            direction_half_width=database.grid.direction_half_width(cell),
+            direction_half_width=grid.direction_half_width(cell),
+            side=grid.side(cell, direction),
         )
 
     return dense_psf
