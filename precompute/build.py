@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from precompute import stylized, volume
+from precompute import physicallens, stylized, volume
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
 from spreadlets.database import CellRecord, absent_record, write_database
@@ -37,6 +37,7 @@ Progress = Callable[[int, int], None]
 
 
 SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
+    "physicallens": physicallens.read_settings,
     "stylized": stylized.read_settings,
     "volume": volume.read_settings,
 }

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from precompute import combined, simplelens, stylized, volume
+from precompute import combined, physicallens, simplelens, stylized, volume
 from precompute._tracing_kernels import deposit_segments, kronecker
 from precompute.line_sample import Painter, Segments, Tracer
 from spreadlets.errors import InvalidParameterError
@@ -47,6 +47,7 @@ N_BLOCKS = 8
 TRACERS: dict[str, Callable[[PsfModel, int], Tracer | Painter]] = {
     "simplelens": simplelens.tracer,
     "combined": combined.tracer,
+    "physicallens": physicallens.tracer,
     "stylized": stylized.tracer,
     "volume": volume.tracer,
 }

@@ -37,6 +37,9 @@ DEFAULT_MAX_MOTION = 128.0
 DEFAULT_MAX_DISTANCE_M = 4.0
 """Range of the model `volume`: at its density, 3.6 mean free paths."""
 
+DEFAULT_MAX_ECCENTRICITY_MM = 25.5
+"""Corner of a square image on a sensor 36 mm wide."""
+
 Angle = Literal["motion", "azimuth"]
 Sign = Literal["ignored", "turned", "stored"]
 
@@ -197,6 +200,16 @@ def _volume(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> P
     return PsfModel("volume", axes, 3, False, 200, settings=settings)
 
 
+def _physicallens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
+    """Real glass; depth is told by the circle of confusion that a thin lens would have."""
+    axes = (
+        Axis("depth", "px of CoC", max_coc, 2.5, _coc_floor(max_coc)),
+        Axis("eccentricity", "mm", settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM), 1.2, scales=False),
+    )
+    symmetry = PoseSymmetry("azimuth", arrow=True, sign="stored")
+    return PsfModel("physicallens", axes, 3, True, 4000, symmetry, settings)
+
+
 def _stored_symmetry(settings: Mapping[str, Any]) -> PoseSymmetry:
     """Return the symmetry that the settings name, by default that of a round aperture and an even shutter."""
     return PoseSymmetry(**settings.get("symmetry", {}))
@@ -205,6 +218,7 @@ def _stored_symmetry(settings: Mapping[str, Any]) -> PoseSymmetry:
 MODELS: dict[str, Callable[[float, float, Mapping[str, Any]], PsfModel]] = {
     "simplelens": _simplelens,
     "combined": _combined,
+    "physicallens": _physicallens,
     "stylized": _stylized,
     "volume": _volume,
 }
@@ -336,8 +350,14 @@ class PsfGrid:
 
     @property
     def _turning_lengths(self) -> npt.NDArray[np.float64]:
-        """Length of the longest motion path of each cell, px, shape (n_cells,)."""
-        return np.asarray(self.boxes[:, -1, 1], dtype=np.float64)
+        """Length, px, of the motion path that a turn moves as much as each cell's PSF, shape (n_cells,).
+
+        A lens is round on its axis: the PSF loses its roundness in proportion to the distance from it.
+        """
+        if self.model.symmetry.angle == "motion":
+            return np.asarray(self.boxes[:, -1, 1], dtype=np.float64)
+        share = self.boxes[:, -1, 1] / self.maximum[-1]
+        return np.asarray(2.0 * share * (self.boxes[:, 0, 1] + self.model.settings.get("aberration_px", 0.0)))
 
     @cached_property
     def pose_counts(self) -> npt.NDArray[np.int64]:
