@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from precompute import physicallens, stylized, volume
+from precompute import combined, physicallens, simplelens, stylized, volume
+from precompute.aperture import Aperture
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
 from spreadlets.database import CellRecord, absent_record, write_database
@@ -37,11 +39,14 @@ Progress = Callable[[int, int], None]
 
 
 SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
+    "simplelens": simplelens.read_settings,
+    "combined": combined.read_settings,
     "physicallens": physicallens.read_settings,
     "stylized": stylized.read_settings,
     "volume": volume.read_settings,
 }
-"""What turns the options of a model into its settings; its keywords are the options that the model has."""
+"""What turns the options of a model into its settings; its keywords are the options that the model has, and if it
+takes any, those of an aperture."""
 
 
 class CellTask(NamedTuple):
@@ -198,14 +203,28 @@ def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
     InvalidParameterError
         If the model has no such option, or refuses its value.
     """
+    if model not in SETTINGS:
+        # The table of models gives the error.
+        return {}
     given = {name: value for name, value in options.items() if value is not None}
-    read = SETTINGS.get(model)
-    known = list(inspect.signature(read).parameters) if read else []
+    known = _option_names(model)
     for name in given:
         if name not in known:
-            offered = ", ".join(known) or "none"
-            raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {offered}")
-    return read(**given) if read else {}
+            raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
+    return SETTINGS[model](**given)
+
+
+def _option_names(model: str) -> list[str]:
+    """Return the names of a model's own options."""
+    parameters = inspect.signature(SETTINGS[model]).parameters.values()
+    names = [each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    takes_shape = len(names) < len(parameters)
+    return names + [field.name for field in fields(Aperture)] * takes_shape
+
+
+def takes_option(model: str, name: str) -> bool:
+    """Return whether a model has an option of its own of this name."""
+    return model in SETTINGS and name in _option_names(model)
 
 
 def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:

@@ -28,9 +28,6 @@ from spreadlets.psf_model import PsfModel
 
 FloatArray = npt.NDArray[np.float64]
 
-RAYS_PER_PIXEL = 1024
-"""Default point-equivalent deposits per pixel of the PSF's square."""
-
 MIN_RAYS = 1 << 17
 """Smallest default: in a PSF of few pixels, nearly all of them lie on the edge."""
 
@@ -78,7 +75,7 @@ def trace_psf(
     side : int
         1 behind the focus, -1 in front of it; for models that tell them apart.
     rays : int, optional
-        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default `RAYS_PER_PIXEL` for
+        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default the tracer's own for
         each pixel of the PSF's square, and at least `MIN_RAYS`. Models that are not traced by segments count paths.
     seed : int
         Of the shift of the low-discrepancy points.
@@ -116,10 +113,13 @@ def _draw_segments(
     """Draw as many segments as the rays pay for; return the sum (H, W, C), centred."""
     half = math.ceil(tracer.reach(box) + 0.5)
     if rays is None:
-        rays = max(MIN_RAYS, RAYS_PER_PIXEL * (2 * half + 1) ** 2)
+        rays = max(MIN_RAYS, tracer.rays_per_pixel * (2 * half + 1) ** 2)
+
+    own = tracer.generators
+    generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
 
     def make_segments(first: int, total: int, most: int) -> Segments:
-        points = kronecker(first, total, most, shift, _generators(tracer.n_dimensions - 1))
+        points = kronecker(first, total, most, shift, generators)
         return tracer.trace(points, box, *pose)
 
     chunk = max(CHUNK // tracer.segments_per_point, 1)

@@ -10,6 +10,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
+RAYS_PER_PIXEL = 1024
+"""Default point-equivalent deposits per pixel of the PSF's square."""
+
+
 class Segments(NamedTuple):
     """Straight segments on the image, each with an energy density that is linear along it."""
 
@@ -37,6 +41,10 @@ class Tracer:
         ``(psf) -> psf``: average over the symmetries that the PSF has, for less noise and none in its symmetry.
     segments_per_point : int
         How many segments ``trace`` makes of a point, about.
+    rays_per_pixel : int
+        Default number of point-equivalent deposits for each pixel of the PSF's square.
+    generators : tuple of floats, optional
+        Steps of all coordinates but the first from point to point, modulo 1; by default those of the R_n sequence.
     """
 
     n_dimensions: int
@@ -44,6 +52,8 @@ class Tracer:
     reach: Callable[[FloatArray], float]
     symmetrise: Callable[[FloatArray], FloatArray]
     segments_per_point: int = 1
+    rays_per_pixel: int = RAYS_PER_PIXEL
+    generators: tuple[float, ...] | None = None
 
 
 def point_symmetric(psf: FloatArray) -> FloatArray:

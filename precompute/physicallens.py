@@ -33,6 +33,13 @@ IntArray = npt.NDArray[np.int64]
 N_DIMENSIONS = 5
 """Place of the line across the pupil, wavelength, distance from focus, eccentricity, azimuth."""
 
+GENERATORS = (0.5 * (math.sqrt(5.0) - 1.0), math.sqrt(2.0) - 1.0, math.sqrt(3.0) - 1.0, math.sqrt(7.0) - 2.0)
+"""Steps of all coordinates but the first. Lines that cross a pixel are neighbours in the sequence, and need many
+wavelengths: those of R_n are jointly even, but one of them is nearly 6/7. This lowers the error to a third."""
+
+RAYS_PER_PIXEL = 2048
+"""Point-equivalent deposits: two in place of one, as colours share them."""
+
 LINE_ANGLE = 0.3
 """Direction of all lines, radians: far from the lattice's axes and diagonals, to which parallel lines would beat."""
 
@@ -143,11 +150,10 @@ def read_settings(
         raise InvalidParameterError(
             f"the camera's f-number is {view['f_number']:g}; the lens {found.title!r} opens to {widest:.3g} and no wider"
         )
-    focus = view.pop("focus_distance_m")
+    focus_per_m = 1.0 / view.pop("focus_distance_m")
     settings = {
         "lens": {"title": found.title, "surfaces": [_as_json(surface) for surface in found.surfaces]},
-        "camera": view | {"focus_per_m": 1.0 / focus},
-        "width_px": int(width),
+        "view": {name: float(value) for name, value in view.items()} | {"focus_per_m": focus_per_m, "width_px": width},
     }
     corner = 0.5 * math.sqrt(2.0) * view["sensor_width_mm"]
     return settings | {"max_eccentricity_mm": corner, "aberration_px": _aberration(settings, corner)}
@@ -170,7 +176,7 @@ def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
     surfaces = tuple(
         prescription.Surface(math.inf if r is None else r, t, tuple(glass), s, k, stop) for r, t, glass, s, k, stop in rows
     )
-    camera = settings["camera"]
+    camera = settings["view"]
     lens = Prescription(settings["lens"]["title"], surfaces)
     lens = lens.scaled(camera["focal_length_mm"] / prescription.paraxial(lens).focal_length)
     first_order = prescription.paraxial(lens)
@@ -179,7 +185,7 @@ def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
     lens = lens.stopped(min(opening, lens.surfaces[lens.stop].semi_diameter))
     focus = camera["focus_per_m"]
     sensor_distance = _best_focus(lens, focus / MM_PER_M)
-    mm_per_px = camera["sensor_width_mm"] / settings["width_px"]
+    mm_per_px = camera["sensor_width_mm"] / camera["width_px"]
     return FocusedLens(
         lens=lens,
         pupil_distance=first_order.pupil_distance,
@@ -270,7 +276,13 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         return _mirrored(bundle, clearance, density, direction, angle)
 
     return Tracer(
-        N_DIMENSIONS, trace, lambda box: lit(_hashable(box))[2], _without_negative_light, 2 * N_NODES
+        N_DIMENSIONS,
+        trace,
+        lambda box: lit(_hashable(box))[2],
+        _without_negative_light,
+        segments_per_point=2 * N_NODES,
+        rays_per_pixel=RAYS_PER_PIXEL,
+        generators=GENERATORS,
     )
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from precompute._volume_kernels import walk
 from precompute.line_sample import Painter, tent
+from spreadlets.camera import ThinLens
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf_model import DEFAULT_MAX_DISTANCE_M, PsfModel
 
@@ -26,8 +27,10 @@ ANISOTROPY = 0.8
 ALBEDO = (1.0, 1.0, 0.9)
 """The medium of LKS section 5.1: collisions per metre, mean cosine of the scattering angle, light that is kept."""
 
-DEFAULT_FOCAL_LENGTH_PX = 1400.0
-"""A lens of 50 mm on a sensor of 36 mm, in an image 1008 px wide."""
+DEFAULT_FOCAL_LENGTHS = 50.0 / 36.0
+"""Focal length in widths of the image: a lens of 50 mm on a sensor of 36 mm."""
+
+DEFAULT_WIDTH_PX = 1024
 
 DEFAULT_RADIUS_PX = 128.0
 """Light that is scattered farther than this from its pixel is left out: far from it, haze is an even veil."""
@@ -92,8 +95,9 @@ def read_settings(
     anisotropy: float = ANISOTROPY,
     albedo: Sequence[float] = ALBEDO,
     max_distance: float = DEFAULT_MAX_DISTANCE_M,
-    focal_length_px: float = DEFAULT_FOCAL_LENGTH_PX,
-    radius_px: float = DEFAULT_RADIUS_PX,
+    camera: ThinLens | None = None,
+    width: int = DEFAULT_WIDTH_PX,
+    psf_radius: float = DEFAULT_RADIUS_PX,
 ) -> dict[str, Any]:
     """Return the settings of a medium, seen by a camera.
 
@@ -107,9 +111,11 @@ def read_settings(
         For R, G and B, each in [0, 1], not all 0.
     max_distance : float
         Farthest distance of the database, metres.
-    focal_length_px : float
-        Focal length in pixels of the frames to come.
-    radius_px : float
+    camera : ThinLens, optional
+        Its focal length and sensor; by default 50 mm and 36 mm.
+    width : int
+        Width of the frames to come, px.
+    psf_radius : float
         Radius of the PSFs, px.
 
     Raises
@@ -131,14 +137,19 @@ def read_settings(
     if len(albedo) != 3 or not all(0.0 <= a <= 1.0 for a in albedo) or max(albedo) == 0.0:
         raise InvalidParameterError(f"albedo is {tuple(albedo)}: three numbers from 0 to 1 are needed, not all 0")
     medium = Medium(float(medium_density), float(anisotropy), tuple(map(float, albedo)))
-    view = {"max_distance_m": max_distance, "focal_length_px": focal_length_px, "radius_px": radius_px}
-    return {"medium": medium._asdict()} | {name: float(value) for name, value in view.items()}
+    widths = camera.focal_length_mm / camera.sensor_width_mm if camera else DEFAULT_FOCAL_LENGTHS
+    return {
+        "medium": medium._asdict(),
+        "max_distance_m": float(max_distance),
+        "psf_radius_px": float(psf_radius),
+        "view": {"focal_length_px": float(widths * width)},
+    }
 
 
 def tracer(model: PsfModel, side: int) -> Painter:
     """Return what paints the PSFs of a medium; there is no focus."""
     medium = Medium(**model.settings["medium"])
-    focal_length_px, radius = model.settings["focal_length_px"], model.settings["radius_px"]
+    focal_length_px, radius = model.settings["view"]["focal_length_px"], model.settings["psf_radius_px"]
 
     def paint(box: FloatArray, rays: int | None, seed: int) -> FloatArray:
         tally = trace_paths(medium, (box[0, 0], box[0, 1]), focal_length_px, radius, rays or DEFAULT_PATHS, seed)

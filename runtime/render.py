@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -22,6 +23,7 @@ from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame, Layer
+from spreadlets.labels import view_differences
 
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
@@ -125,6 +127,7 @@ def synthesize(
         raise InvalidParameterError(f"integrator {integrator!r} is unknown: allowed are {', '.join(METHODS)}")
     if not 0.0 <= tolerance < 1.0:
         raise InvalidParameterError(f"tolerance is {tolerance}: allowed are 0 (off) to below 1 (the displayed range)")
+    _warn_about_view(database, camera, frame.shape[1])
     clock = clock or Clock()
     composite: Image | None = None
     plans = []
@@ -142,6 +145,15 @@ def synthesize(
         plans.append(plan)
     assert composite is not None, "a frame has at least one layer"
     return composite, _report(plans, database, clock)
+
+
+def _warn_about_view(database: Database, camera: ThinLens, width: int) -> None:
+    """Say in what the camera differs from the one that the database was built for."""
+    differences = view_differences(database.grid.model, camera, width)
+    if differences:
+        warnings.warn(
+            f"the database {database.path.name!r} was built for another camera: {'; '.join(differences)}", stacklevel=3
+        )
 
 
 def _render_layer(layer: Layer, plan: Plan, solver: tuple[str, int], clock: Clock) -> Image:

@@ -158,13 +158,19 @@ def build_database(
     frames : sequence of Frame, optional
         Build only the cells and directions that these frames use; needs the camera.
     camera : ThinLens, optional
-        Lens and shutter for `frames`.
+        Lens and shutter for `frames`, and for models that depend on the camera.
     """
     from precompute.build import build_database as build
-    from precompute.build import model_grid
+    from precompute.build import model_grid, takes_option
 
-    if (frames is None) != (camera is None):
-        raise InvalidParameterError("a database for certain frames needs both the frames and the camera")
+    if frames is not None and camera is None:
+        raise InvalidParameterError("a database for certain frames needs the camera, too")
+    if camera is not None and takes_option(model, "camera"):
+        options["camera"] = camera
+    elif camera is not None and frames is None:
+        raise InvalidParameterError(f"the model {model!r} takes a camera only together with the frames to build for")
+    if frames and takes_option(model, "width") and options.get("width") is None:
+        options["width"] = frames[0].shape[1]
     if frames is not None and camera is not None:
         from runtime.plan import needed_spreadlets
 

@@ -40,8 +40,26 @@ def cli() -> None:
 @click.option("--max-coc", type=float, help="Largest CoC radius, px.")
 @click.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
 @click.option("--density", type=click.Choice(["0.5", "1", "2"]), default="1", help="Points, times the usual number.")
+@click.option("--lens", help="physicallens: a prescription file, or singlet, doublet, double_gauss (shipped).")
+@click.option("--width", type=click.IntRange(min=1), help="physicallens, volume: width of the frames to come, px.")
+@click.option("--image", help="stylized: the PSF (PNG).")
+@click.option("--colour-offset", type=float, help="stylized: shift of red and blue, in radii of the PSF.")
+@click.option("--medium-density", type=float, help="volume: collisions per metre.")
+@click.option("--anisotropy", type=float, help="volume: mean cosine of the scattering angle, -1 to 1.")
+@click.option("--albedo", type=float, nargs=3, help="volume: share of R, G and B that a collision keeps.")
+@click.option("--max-distance", type=float, help="volume: farthest distance, m.")
+@click.option("--psf-radius", type=float, help="volume: radius of the PSFs, px.")
+@click.option("--blades", type=click.IntRange(min=0), help="simplelens, combined: edges of the aperture (0: round).")
+@click.option("--blade-curvature", type=float, help="... from 0 (straight edges) to 1 (round).")
+@click.option("--rotation", type=float, help="... of the blades, degrees.")
+@click.option("--cats-eye", type=float, help="... distance of a second, clipping circle, radii.")
+@click.option("--cats-eye-angle", type=float, help="... its direction, degrees.")
+@click.option("--squeeze", type=float, help="... width over height of an anamorphic PSF.")
+@click.option("--spherical-aberration", type=float, help="... above 0: dark rim behind focus, bright in front.")
+@click.option("--obstruction", type=float, help="... radius of a central obstruction, radii.")
+@click.option("--shutter-curve", help="combined: openness over time (0,1,1,0.5) or trapezoid:RISE,FALL.")
 @click.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
-@click.option("--camera", "camera_path", help="Camera file (JSON) of those frames.")
+@click.option("--camera", "camera_path", help="Camera file (JSON): of those frames; for physicallens and volume.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
 @json_option
@@ -54,21 +72,25 @@ def build(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Build a database of spreadlets for a PSF MODEL: simplelens or combined.
+    """Build a database of spreadlets for a PSF MODEL: simplelens, combined, physicallens, volume or stylized.
 
-    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
+    Options that start with a model's name belong to that model. An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
 
-    Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+    Examples: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+
+    spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
     """
     from spreadlets.api import build_database
     from spreadlets.camera import read_camera
     from spreadlets.database import open_database
     from spreadlets.exr import read_frame
 
-    if bool(frame_paths) != bool(camera_path):
-        raise click.UsageError("--for and --camera go together")
+    if frame_paths and not camera_path:
+        raise click.UsageError("--for needs --camera, too")
     if camera_path:
-        options |= {"frames": [read_frame(path) for path in frame_paths], "camera": read_camera(camera_path)}
+        options["camera"] = read_camera(camera_path)
+    if frame_paths:
+        options["frames"] = [read_frame(path) for path in frame_paths]
     with _progress(f"building {model}", quiet=as_json) as progress:
         build_database(model, output, density=float(density), progress=progress, **options)
     with open_database(output) as database:

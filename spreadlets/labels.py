@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.camera import ThinLens
 from spreadlets.psf_model import Angle, PsfModel
 
 FloatArray = npt.NDArray[np.float32]
@@ -116,4 +117,28 @@ def ignored_effects(labels: Labels, model: PsfModel) -> list[tuple[str, float]]:
         share = 0.0 if axes & set(shown_by) else float((extent(labels) > 0).mean())
         if share > 0:
             found.append((name, share))
+    return found
+
+
+VIEW_TOLERANCE = 0.02
+"""Relative difference of a camera and the one that a database was built for that is not worth a word."""
+
+VIEW: dict[str, Callable[[ThinLens, int], float]] = {
+    "focal_length_mm": lambda camera, width: camera.focal_length_mm,
+    "sensor_width_mm": lambda camera, width: camera.sensor_width_mm,
+    "f_number": lambda camera, width: camera.f_number,
+    "focus_per_m": lambda camera, width: 1.0 / camera.focus_distance_m,
+    "width_px": lambda camera, width: float(width),
+    "focal_length_px": lambda camera, width: camera.focal_length_mm / camera.sensor_width_mm * width,
+}
+"""What the PSFs of some models depend on beside the labels, for a camera and an image's width in px."""
+
+
+def view_differences(model: PsfModel, camera: ThinLens, width: int) -> list[str]:
+    """Say in what a camera differs from the one that a model's PSFs were made for."""
+    found = []
+    for name, built in model.settings.get("view", {}).items():
+        given = VIEW[name](camera, width)
+        if abs(given - built) > VIEW_TOLERANCE * max(abs(given), abs(built)):
+            found.append(f"{name} is {given:.4g}, built for {built:.4g}")
     return found
