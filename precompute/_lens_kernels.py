@@ -16,7 +16,7 @@ FAILED_CLEARANCE = -1.0
 """Clearance of rays that do not get to the sensor."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, error_model="numpy")
 def _refract(ray, curvature, conic, ratio):
     """Move a ray, relative to a surface's vertex, to that surface, and refract it there; return what happened.
 
@@ -27,7 +27,7 @@ def _refract(ray, curvature, conic, ratio):
     b = curvature * (x * dx + y * dy + (1.0 + conic) * z * dz) - dz
     c = curvature * (x * x + y * y + (1.0 + conic) * z * z) - 2.0 * z
     root = b * b - a * c
-    if root < 0.0:
+    if not root >= 0.0:
         return MISSED
     step = c / (math.sqrt(root) - b)
     x, y, z = x + step * dx, y + step * dy, z + step * dz
@@ -36,7 +36,7 @@ def _refract(ray, curvature, conic, ratio):
     nx, ny, nz = nx / norm, ny / norm, nz / norm
     inward = nx * dx + ny * dy + nz * dz
     through = 1.0 - ratio * ratio * (1.0 - inward * inward)
-    if through < 0.0:
+    if not through >= 0.0:
         return REFLECTED
     along = math.sqrt(through) - ratio * inward
     ray[0], ray[1], ray[2] = x, y, z
@@ -44,7 +44,7 @@ def _refract(ray, curvature, conic, ratio):
     return PASSED
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, error_model="numpy")
 def trace_one(ray, table, index, sensor_distance):
     """Trace a ray through a lens onto the sensor.
 
@@ -86,7 +86,7 @@ def trace_one(ray, table, index, sensor_distance):
     return clearance, narrowest, PASSED if clearance >= 0.0 else BLOCKED
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
+@numba.njit(cache=True, fastmath=False, error_model="numpy", parallel=True)
 def trace_lines(place, slope, index, table, distances, out, events):
     """Trace rays along straight lines across the entrance pupil.
 

@@ -126,8 +126,8 @@ def read_settings(
     lengths = {
         "medium_density": medium_density,
         "max_distance": max_distance,
-        "focal_length_px": focal_length_px,
-        "radius": radius_px,
+        "width": width,
+        "psf_radius": psf_radius,
     }
     for name, value in lengths.items():
         if not (math.isfinite(value) and value > 0):
