@@ -80,7 +80,10 @@ class Aperture:
             "cats_eye": (0.0 <= self.cats_eye < 2.0, "0 to below 2 radii, where no light is left"),
             "cats_eye_angle": (math.isfinite(self.cats_eye_angle), "finite degrees"),
             "squeeze": (MIN_SQUEEZE <= self.squeeze <= 1.0, f"{MIN_SQUEEZE} to 1"),
-            "spherical_aberration": (abs(self.spherical_aberration) <= MAX_SPHERICAL, f"up to {MAX_SPHERICAL} either way"),
+            "spherical_aberration": (
+                abs(self.spherical_aberration) <= MAX_SPHERICAL,
+                f"up to {MAX_SPHERICAL} either way",
+            ),
             "obstruction": (0.0 <= self.obstruction < 1.0, "0 to below 1"),
         }
         for name, (is_good, text) in allowed.items():

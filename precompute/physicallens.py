@@ -148,7 +148,7 @@ def read_settings(
         view = {name: getattr(camera, name) for name in view}
     if view["f_number"] < widest * (1.0 - OPENING_MARGIN):
         raise InvalidParameterError(
-            f"the camera's f-number is {view['f_number']:g}; the lens {found.title!r} opens to {widest:.3g} and no wider"
+            f"the camera's f-number is {view['f_number']:g}; the lens {found.title!r} opens to {widest:.3g}, no wider"
         )
     focus_per_m = 1.0 / view.pop("focus_distance_m")
     settings = {
@@ -174,7 +174,8 @@ def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
     """Scale, stop down and focus the lens of some settings."""
     rows = settings["lens"]["surfaces"]
     surfaces = tuple(
-        prescription.Surface(math.inf if r is None else r, t, tuple(glass), s, k, stop) for r, t, glass, s, k, stop in rows
+        prescription.Surface(math.inf if r is None else r, t, tuple(glass), s, k, stop)
+        for r, t, glass, s, k, stop in rows
     )
     camera = settings["view"]
     lens = Prescription(settings["lens"]["title"], surfaces)
@@ -220,14 +221,25 @@ def _best_focus(lens: Prescription, inverse_distance: float) -> float:
 
 
 def _trace(
-    lens: Prescription, pupil_distance: float, sensor_distance: float, place: FloatArray, slope: FloatArray, index: FloatArray
+    lens: Prescription,
+    pupil_distance: float,
+    sensor_distance: float,
+    place: FloatArray,
+    slope: FloatArray,
+    index: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
     """Trace rays (n, K, 2); return x, y and clearance (n, K, 3), and the surfaces' events (n_surfaces, 4)."""
     out = np.empty((*place.shape[:2], 3))
     events = np.zeros((len(place), len(lens.surfaces), 4), np.int64)
     slopes = np.ascontiguousarray(np.broadcast_to(slope, place.shape))
     trace_lines(
-        np.ascontiguousarray(place), slopes, index, lens.table(), (float(pupil_distance), float(sensor_distance)), out, events
+        np.ascontiguousarray(place),
+        slopes,
+        index,
+        lens.table(),
+        (float(pupil_distance), float(sensor_distance)),
+        out,
+        events,
     )
     return out, events.sum(axis=0)
 
@@ -337,8 +349,7 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     ticks = np.linspace(-half, half, PILOT_SIDE)
     along, across = np.meshgrid(ticks, ticks)
     coc, height, wavelength = (
-        values.ravel()
-        for values in np.meshgrid(box[0], box[1], (SHORTEST_NM, FOCUS_NM, LONGEST_NM), indexing="ij")
+        values.ravel() for values in np.meshgrid(box[0], box[1], (SHORTEST_NM, FOCUS_NM, LONGEST_NM), indexing="ij")
     )
     flat = _turned(along, across, LINE_ANGLE).reshape(1, -1, 2)
     place = np.repeat(flat, len(coc), axis=0)

@@ -29,6 +29,9 @@ N_DIMENSIONS = 2
 LINE_ANGLE = 0.3
 """Direction of all lines, radians: far from the lattice's axes and diagonals, to which parallel lines would beat."""
 
+SAMPLES_PER_PIXEL = 2
+"""Samples along a line for each pixel of the image: an oblique line's light is not quite linear between pixels."""
+
 MAX_SIDE = 160
 """Images are reduced to so many pixels: more than a PSF can show, and small enough to go with the database."""
 
@@ -79,8 +82,13 @@ def _read_light(path: str) -> FloatArray:
     shrink = MAX_SIDE / max(light.shape[:2])
     if shrink < 1.0:
         size = [max(1, round(shrink * side)) for side in light.shape[:2]]
-        light = np.maximum(resize(light, (*size, 3), order=1, anti_aliasing=True), 0.0)
+        light = np.maximum(_resized(light, size), 0.0)
     return np.asarray(light / light.max(), np.float64)
+
+
+def _resized(light: FloatArray, size: list[int]) -> FloatArray:
+    resized: FloatArray = resize(light, (*size, 3), order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
+    return resized
 
 
 def _linear(display: FloatArray) -> FloatArray:
@@ -106,8 +114,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     offset = float(model.settings["colour_offset"]) * np.array([1.0, 0.0, -1.0])
     # Half the image's diagonal, px, and room for the offsets and the last pixel's fading.
     half = 0.5 * float(np.hypot(*light.shape[:2])) + 0.5 * max(light.shape[:2]) * float(np.abs(offset).max()) + 1.0
-    # Light is linear between the image's pixels, so one sample for each will do.
-    along = np.linspace(-half, half, int(np.ceil(2.0 * half)) + 1)[None, :]
+    along = np.linspace(-half, half, SAMPLES_PER_PIXEL * int(np.ceil(2.0 * half)) + 1)[None, :]
 
     def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
         across = half * (2.0 * points[:, :1] - 1.0)

@@ -159,7 +159,7 @@ def _variant_keys(
 
 
 def _sharp(labels: Labels, grid: PsfGrid) -> npt.NDArray[np.bool_]:
-    """Find the pixels whose PSF stays within the pixel; where other things than lens and motion blur, there are none."""
+    """Find the pixels whose PSF stays within the pixel; where more than lens and motion blurs, there are none."""
     if not all(axis.scales for axis in grid.model.axes):
         return np.zeros(labels.coc.shape, np.bool_)
     length = np.hypot(labels.path[..., 0], labels.path[..., 1])

@@ -74,7 +74,9 @@ def build(
 ) -> None:
     """Build a database of spreadlets for a PSF MODEL: simplelens, combined, physicallens, volume or stylized.
 
-    Options that start with a model's name belong to that model. An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
+    Options that start with a model's name belong to that model.
+
+    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
 
     Examples: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
 

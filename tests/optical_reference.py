@@ -94,7 +94,17 @@ def _rows(name, largest_field):
             rays = RealRays(x, y, start * ones, *(d * ones for d in direction), ones, wavelength / 1000.0 * ones)
             optic.surfaces.trace(rays, skip=1)
             spot = spot_radius(np.asarray(rays.x), np.asarray(rays.y))
-            yield name, field * largest_field, wavelength, pupil, pupil_radius, sensor, focal_length, float(rays.x[0]), spot
+            yield (
+                name,
+                field * largest_field,
+                wavelength,
+                pupil,
+                pupil_radius,
+                sensor,
+                focal_length,
+                float(rays.x[0]),
+                spot,
+            )
 
 
 def main():

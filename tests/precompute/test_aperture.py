@@ -95,7 +95,8 @@ def test_aperture_in_motion_is_that_of_the_supersampled_drawing(name):
 
 @compiled
 @pytest.mark.parametrize(
-    "curve, weight", [("trapezoid:0.5,0.2", lambda t: np.minimum(np.minimum(t / 0.5, (1 - t) / 0.2), 1)), ("0,3", np.array)]
+    "curve, weight",
+    [("trapezoid:0.5,0.2", lambda t: np.minimum(np.minimum(t / 0.5, (1 - t) / 0.2), 1)), ("0,3", np.array)],
 )
 def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
     psf = trace_psf(make("combined", shutter_curve=curve), [[6.0, 6.0], [30.0, 30.0]], direction=2.2)
@@ -107,9 +108,7 @@ def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
 def pose_psf(grid, cell, coordinates, angle, in_front):
     """Trace a PSF as the run time would draw it: a stored pose, turned by a symmetry of the lattice."""
     number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle, in_front)
-    psf = trace_psf(
-        grid.model, coordinates, direction=grid.directions(cell)[number], side=grid.side(cell, int(number))
-    )
+    psf = trace_psf(grid.model, coordinates, direction=grid.directions(cell)[number], side=grid.side(cell, int(number)))
     psf = psf.swapaxes(0, 1) if transpose else psf
     return psf[:: -1 if flip_row else 1, :: -1 if flip_col else 1]
 

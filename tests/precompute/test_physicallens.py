@@ -179,13 +179,16 @@ def test_distortion_and_vignetting_grow_towards_the_corner():
     assert moved[0] == pytest.approx(0, abs=1e-9)
     assert moved[2] > 2 * moved[1] > 0.5
     open_share = [
-        (trace_bundle(
-            focused,
-            np.stack([np.zeros(101), np.linspace(-1, 1, 101) * focused.pupil_radius], axis=-1)[None, :, ::-1],
-            np.array([550.0]),
-            np.array([focused.focus_per_m]),
-            np.array([height]),
-        ).clearance >= 0).mean()
+        (
+            trace_bundle(
+                focused,
+                np.stack([np.zeros(101), np.linspace(-1, 1, 101) * focused.pupil_radius], axis=-1)[None, :, ::-1],
+                np.array([550.0]),
+                np.array([focused.focus_per_m]),
+                np.array([height]),
+            ).clearance
+            >= 0
+        ).mean()
         for height in heights
     ]
     assert open_share[0] > open_share[1] > open_share[2] > 0
@@ -302,7 +305,10 @@ def test_unknown_lens_lists_those_that_ship(tmp_path):
     [
         (SINGLET.replace("\n50 4", "\n-50 4").replace("\n-50 40", "\n50 40"), "does not focus"),
         # A tube before the stop, through which no corner is seen.
-        (SINGLET.replace("stop", "inf 30 air 0.5 0\nstop").replace("stop 0 air 5", "stop 9 air 0.5"), "surface 1.*its rim"),
+        (
+            SINGLET.replace("stop", "inf 30 air 0.5 0\nstop").replace("stop 0 air 5", "stop 9 air 0.5"),
+            "surface 1.*its rim",
+        ),
     ],
 )
 def test_lens_that_passes_no_light_is_refused(tmp_path, text, message):
