@@ -8,18 +8,15 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-CHUNK = 1 << 16
-"""Points made at a time: bounds the memory that a trace needs (a few MB), large enough to hide NumPy's call cost."""
-
 
 @numba.njit(cache=True, fastmath=False)
-def kronecker(first: int, total: int, shift: FloatArray, alpha: FloatArray) -> FloatArray:
+def kronecker(first: int, total: int, most: int, shift: FloatArray, alpha: FloatArray) -> FloatArray:
     """Fill rows with points ``first, first + 1, ...`` of a shifted Hammersley-Kronecker set of ``total`` points.
 
     Parameters
     ----------
-    first, total : int
-        The rows are points ``first`` up to, but excluding, ``first + n``, n as many as `CHUNK` or as are left.
+    first, total, most : int
+        The rows are points ``first`` up to, but excluding, ``first + n``, n being ``most`` or as many as are left.
     shift : float64 array of shape (d,)
         Cranley-Patterson rotation in [0, 1).
     alpha : float64 array of shape (d - 1,)
@@ -30,7 +27,7 @@ def kronecker(first: int, total: int, shift: FloatArray, alpha: FloatArray) -> F
     float64 array of shape (n, d)
         Column 0 is ``(i + shift) / total``; column j is ``frac(shift_j + i alpha_j)``.
     """
-    n = min(total - first, CHUNK)
+    n = min(total - first, most)
     points = np.empty((n, len(shift)), dtype=np.float64)
     for row in range(n):
         i = first + row

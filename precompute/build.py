@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from precompute import combined, physicallens, simplelens, stylized, volume
+from precompute.aperture import Aperture
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
 from spreadlets.database import CellRecord, absent_record, write_database
@@ -32,6 +36,17 @@ MAX_SAMPLES = 100_000
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of finished and of all cells."""
+
+
+SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
+    "simplelens": simplelens.read_settings,
+    "combined": combined.read_settings,
+    "physicallens": physicallens.read_settings,
+    "stylized": stylized.read_settings,
+    "volume": volume.read_settings,
+}
+"""What turns the options of a model into its settings; its keywords are the options that the model has, and if it
+takes any, those of an aperture."""
 
 
 class CellTask(NamedTuple):
@@ -75,6 +90,7 @@ def _build_record(task: CellTask, number: int) -> CellRecord:
         task.grid.box(task.cell),
         direction=direction,
         direction_half_width=task.grid.direction_half_width(task.cell),
+        side=task.grid.side(task.cell, number),
         rays=task.rays,
         seed=seed,
     )
@@ -102,13 +118,14 @@ def build_database(
     jobs: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    **options: Any,
 ) -> None:
     """Build a database of spreadlets; an interrupted build goes on where it stopped when called again.
 
     Parameters
     ----------
     model : str
-        Name of a PSF model: ``simplelens`` or ``combined``.
+        Name of a PSF model, see `spreadlets.psf_model.MODELS`.
     path : path-like
         The database to write. Finished cells wait in the folder ``PATH.parts`` until all are there.
     samples : int, optional
@@ -127,6 +144,8 @@ def build_database(
         Seed of tracing and sparsification. Equal seeds give equal databases for any number of processes.
     progress : callable, optional
         Told of each finished cell.
+    options
+        Those of the model, see `SETTINGS`; None stands for the model's own value.
 
     Raises
     ------
@@ -135,7 +154,7 @@ def build_database(
     """
     begin = time.perf_counter()
     _check_arguments(samples, density, rays, jobs, seed)
-    grid = model_grid(model, samples=samples, max_coc=max_coc, max_motion=max_motion)
+    grid = model_grid(model, samples=samples, max_coc=max_coc, max_motion=max_motion, **options)
     target = Path(path)
     parts = target.with_name(target.name + ".parts")
     directions = _wanted_directions(grid, only)
@@ -163,17 +182,55 @@ def _check_arguments(samples: int | None, density: float, rays: int | None, jobs
 
 
 def model_grid(
-    model: str, *, samples: int | None = None, max_coc: float | None = None, max_motion: float | None = None
+    model: str,
+    *,
+    samples: int | None = None,
+    max_coc: float | None = None,
+    max_motion: float | None = None,
+    **options: Any,
 ) -> PsfGrid:
     """Return the grid that a build with these arguments has; None stands for the model's own value."""
-    ranges = {"max_coc": max_coc, "max_motion": max_motion}
-    return PsfGrid.of(get_model(model, **{key: value for key, value in ranges.items() if value is not None}), samples)
+    given = {"max_coc": max_coc, "max_motion": max_motion}
+    ranges = {key: value for key, value in given.items() if value is not None}
+    return PsfGrid.of(get_model(model, **ranges, settings=model_settings(model, options)), samples)
+
+
+def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn the options of a model into its settings; None stands for the model's own value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model has no such option, or refuses its value.
+    """
+    if model not in SETTINGS:
+        # The table of models gives the error.
+        return {}
+    given = {name: value for name, value in options.items() if value is not None}
+    known = _option_names(model)
+    for name in given:
+        if name not in known:
+            raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
+    return SETTINGS[model](**given)
+
+
+def _option_names(model: str) -> list[str]:
+    """Return the names of a model's own options."""
+    parameters = inspect.signature(SETTINGS[model]).parameters.values()
+    names = [each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    takes_shape = len(names) < len(parameters)
+    return names + [field.name for field in fields(Aperture)] * takes_shape
+
+
+def takes_option(model: str, name: str) -> bool:
+    """Return whether a model has an option of its own of this name."""
+    return model in SETTINGS and name in _option_names(model)
 
 
 def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:
     """Return the directions to build for each cell."""
     if only is None:
-        return [tuple(range(int(count))) for count in grid.direction_counts]
+        return [tuple(range(int(count))) for count in grid.pose_counts]
     wanted: list[set[int]] = [set() for _ in range(grid.n_cells)]
     for cell, direction in only:
         wanted[cell].add(direction)

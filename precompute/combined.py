@@ -1,12 +1,29 @@
 """Rays of the ``combined`` model: a thin lens and straight motion of constant speed (LKS section 5.1)."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from precompute.line_sample import Segments, lens_chords, tent
+from precompute import aperture
+from precompute.line_sample import Segments, Tracer, lens_chords, point_symmetric, tent
+from spreadlets.psf_model import PsfModel
 
 N_DIMENSIONS = 4
 """Place of the chord, circle of confusion, length of the motion, its direction."""
+
+
+def read_settings(*, shutter_curve: Sequence[float] | str | None = None, **shape: Any) -> dict[str, Any]:
+    """Return the settings of an aperture, see `precompute.aperture.read_settings`."""
+    return aperture.read_settings(shutter_curve, shape)
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces this model; behind a round, even aperture both sides of the focus are alike."""
+    if model.settings:
+        return aperture.tracer(model, side)
+    return Tracer(N_DIMENSIONS, trace, reach, point_symmetric)
 
 
 def trace(

@@ -8,7 +8,7 @@ Choosing the chords parallel to the motion merges the two into one segment, whos
 is left to sample is the place of the chord and the extent of the pre-filter, so that some hundred segments across a
 pixel leave less noise than millions of points. (Line samples: Jones and Perry 2000, "Antialiasing with line samples".)
 
-A model without such an analytic integral emits segments of no length: plain rays.
+A model without such an analytic integral emits chains of short segments between neighbouring rays.
 
 The pre-filter replaces the parameters of the PSF by a tent over the cell: the box of parameters, and to both sides of
 the direction. Its dimensions are part of the same low-discrepancy set, so it costs no further loop (LKS section 5.4).
@@ -16,24 +16,23 @@ the direction. Its dimensions are part of the same low-discrepancy set, so it co
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from precompute import combined, simplelens
-from precompute._tracing_kernels import CHUNK, deposit_segments, kronecker
-from precompute.line_sample import Segments
+from precompute import combined, physicallens, simplelens, stylized, volume
+from precompute._tracing_kernels import deposit_segments, kronecker
+from precompute.line_sample import Painter, Segments, Tracer
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf_model import PsfModel
 
 FloatArray = npt.NDArray[np.float64]
 
-RAYS_PER_PIXEL = 1024
-"""Default point-equivalent deposits per pixel of the PSF's square."""
-
 MIN_RAYS = 1 << 17
 """Smallest default: in a PSF of few pixels, nearly all of them lie on the edge."""
+
+CHUNK = 1 << 16
+"""Segments made at a time: bounds the memory that a trace needs (a few MB), large enough to hide NumPy's call cost."""
 
 PILOT_POINTS = 1024
 """Points whose segments are measured to learn how many points the deposits pay for."""
@@ -42,44 +41,14 @@ N_BLOCKS = 8
 """Images that are filled independently and then summed in order: the same sum for any number of threads."""
 
 
-@dataclass(frozen=True)
-class Tracer:
-    """How the rays of one PSF model are made.
-
-    Parameters
-    ----------
-    n_dimensions : int
-        Length of the points that ``trace`` takes. The first coordinate is the best distributed.
-    trace : callable
-        ``(points, box, direction, direction_half_width) -> Segments``.
-    reach : callable
-        ``(box) -> px``: no segment leaves the square of this half-side.
-    symmetrise : callable
-        ``(psf) -> psf``: average over the symmetries that the PSF has, for less noise and none in its symmetry.
-    """
-
-    n_dimensions: int
-    trace: Callable[[FloatArray, FloatArray, float, float], Segments]
-    reach: Callable[[FloatArray], float]
-    symmetrise: Callable[[FloatArray], FloatArray]
-
-
-def _point_symmetric(psf: FloatArray) -> FloatArray:
-    """Average a PSF (H, W, C) with its half turn."""
-    return 0.5 * (psf + psf[::-1, ::-1])
-
-
-def _lattice_symmetric(psf: FloatArray) -> FloatArray:
-    """Average a square PSF (H, H, C) over the lattice's eight symmetries."""
-    mirrored = psf + psf[::-1]
-    mirrored = mirrored + mirrored[:, ::-1]
-    return 0.125 * (mirrored + mirrored.swapaxes(0, 1))
-
-
-TRACERS = {
-    "simplelens": Tracer(simplelens.N_DIMENSIONS, simplelens.trace, simplelens.reach, _lattice_symmetric),
-    "combined": Tracer(combined.N_DIMENSIONS, combined.trace, combined.reach, _point_symmetric),
+TRACERS: dict[str, Callable[[PsfModel, int], Tracer | Painter]] = {
+    "simplelens": simplelens.tracer,
+    "combined": combined.tracer,
+    "physicallens": physicallens.tracer,
+    "stylized": stylized.tracer,
+    "volume": volume.tracer,
 }
+"""What makes the PSFs of a model on a side of the focus (1 behind, -1 in front)."""
 
 
 def trace_psf(
@@ -88,6 +57,7 @@ def trace_psf(
     *,
     direction: float = 0.0,
     direction_half_width: float = 0.0,
+    side: int = 1,
     rays: int | None = None,
     seed: int = 0,
 ) -> FloatArray:
@@ -102,9 +72,11 @@ def trace_psf(
         Direction of the motion (dx, dy) = (cos, sin), y down, radians; for models with direction.
     direction_half_width : float
         Half-width of the tent over the direction, radians; 0 for no filter.
+    side : int
+        1 behind the focus, -1 in front of it; for models that tell them apart.
     rays : int, optional
-        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default `RAYS_PER_PIXEL` for
-        each pixel of the PSF's square, and at least `MIN_RAYS`.
+        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default the tracer's own for
+        each pixel of the PSF's square, and at least `MIN_RAYS`. Models that are not traced by segments count paths.
     seed : int
         Of the shift of the low-discrepancy points.
 
@@ -124,24 +96,40 @@ def trace_psf(
     LKS sections 5.3 and 5.4.
     """
     ranges = _checked_box(model, box)
-    tracer = TRACERS[model.name]
-    half = math.ceil(tracer.reach(ranges) + 0.5)
-    if rays is None:
-        rays = max(MIN_RAYS, RAYS_PER_PIXEL * (2 * half + 1) ** 2)
-    if rays < 1:
+    if rays is not None and rays < 1:
         raise InvalidParameterError(f"rays must be at least 1, not {rays}")
-
-    def make_segments(first: int, total: int) -> Segments:
-        points = kronecker(first, total, shift, _generators(tracer.n_dimensions - 1))
-        return tracer.trace(points, ranges, direction, direction_half_width)
-
-    shift = np.random.default_rng(seed).random(tracer.n_dimensions)
-    n_points = math.ceil(rays * PILOT_POINTS / _cost(make_segments(0, PILOT_POINTS)))
-    images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, model.n_channels))
-    for first in range(0, n_points, CHUNK):
-        deposit_segments(*make_segments(first, n_points), images)
-    psf = tracer.symmetrise(images.sum(axis=0))
+    tracer = TRACERS[model.name](model, side)
+    if isinstance(tracer, Painter):
+        psf = tracer.paint(ranges, rays, seed)
+    else:
+        pose = direction, direction_half_width
+        psf = _draw_segments(tracer, ranges, pose, rays, seed)
     return _crop(psf * (model.n_channels / psf.sum()))
+
+
+def _draw_segments(
+    tracer: Tracer, box: FloatArray, pose: tuple[float, float], rays: int | None, seed: int
+) -> FloatArray:
+    """Draw as many segments as the rays pay for; return the sum (H, W, C), centred."""
+    half = math.ceil(tracer.reach(box) + 0.5)
+    if rays is None:
+        rays = max(MIN_RAYS, tracer.rays_per_pixel * (2 * half + 1) ** 2)
+
+    own = tracer.generators
+    generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
+
+    def make_segments(first: int, total: int, most: int) -> Segments:
+        points = kronecker(first, total, most, shift, generators)
+        return tracer.trace(points, box, *pose)
+
+    chunk = max(CHUNK // tracer.segments_per_point, 1)
+    shift = np.random.default_rng(seed).random(tracer.n_dimensions)
+    pilot = make_segments(0, PILOT_POINTS, PILOT_POINTS)
+    n_points = math.ceil(rays * PILOT_POINTS / _cost(pilot))
+    images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
+    for first in range(0, n_points, chunk):
+        deposit_segments(*make_segments(first, n_points, chunk), images)
+    return tracer.symmetrise(images.sum(axis=0))
 
 
 def _checked_box(model: PsfModel, box: npt.ArrayLike) -> FloatArray:

@@ -1,11 +1,17 @@
 """What the tracers of single PSF models share: segments on the image, the tent of the pre-filter, chords of a lens."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+
+
+RAYS_PER_PIXEL = 1024
+"""Default point-equivalent deposits per pixel of the PSF's square."""
 
 
 class Segments(NamedTuple):
@@ -17,6 +23,104 @@ class Segments(NamedTuple):
     """Energy density per unit of the segment's parameter in [0, 1] at (x0, y0), shape (n, C)."""
     stop: FloatArray
     """The same at (x1, y1); a segment's energy is the mean of the two."""
+
+
+@dataclass(frozen=True)
+class Tracer:
+    """How the rays of one PSF model are made.
+
+    Parameters
+    ----------
+    n_dimensions : int
+        Length of the points that ``trace`` takes. The first coordinate is the best distributed.
+    trace : callable
+        ``(points, box, direction, direction_half_width) -> Segments``.
+    reach : callable
+        ``(box) -> px``: no segment leaves the square of this half-side.
+    symmetrise : callable
+        ``(psf) -> psf``: average over the symmetries that the PSF has, for less noise and none in its symmetry.
+    segments_per_point : int
+        How many segments ``trace`` makes of a point, about.
+    rays_per_pixel : int
+        Default number of point-equivalent deposits for each pixel of the PSF's square.
+    generators : tuple of floats, optional
+        Steps of all coordinates but the first from point to point, modulo 1; by default those of the R_n sequence.
+    """
+
+    n_dimensions: int
+    trace: Callable[[FloatArray, FloatArray, float, float], Segments]
+    reach: Callable[[FloatArray], float]
+    symmetrise: Callable[[FloatArray], FloatArray]
+    segments_per_point: int = 1
+    rays_per_pixel: int = RAYS_PER_PIXEL
+    generators: tuple[float, ...] | None = None
+
+
+def point_symmetric(psf: FloatArray) -> FloatArray:
+    """Average a PSF (H, W, C) with its half turn."""
+    return 0.5 * (psf + psf[::-1, ::-1])
+
+
+def lattice_symmetric(psf: FloatArray) -> FloatArray:
+    """Average a square PSF (H, H, C) over the lattice's eight symmetries."""
+    mirrored = psf + psf[::-1]
+    mirrored = mirrored + mirrored[:, ::-1]
+    return 0.125 * (mirrored + mirrored.swapaxes(0, 1))
+
+
+@dataclass(frozen=True)
+class Painter:
+    """How a PSF is made that is not traced by segments.
+
+    Parameters
+    ----------
+    paint : callable
+        ``(box, rays, seed) -> psf``, (H, W, C) with H and W odd, centred; ``rays`` is None for the model's own number.
+    """
+
+    paint: Callable[[FloatArray, int | None, int], FloatArray]
+
+
+def unchanged(psf: FloatArray) -> FloatArray:
+    """Return a PSF that has no symmetry as it is."""
+    return psf
+
+
+def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: FloatArray | None = None) -> Segments:
+    """Join the nodes of lines by segments, cut where a clearance falls below zero.
+
+    Parameters
+    ----------
+    x, y : ndarray of shape (n, K), float64
+        Nodes of n lines on the image, px.
+    density : ndarray of shape (n, K, C), float64
+        Energy density per unit of the line's parameter, in which the nodes are equally spaced, at the nodes.
+    clearance : ndarray of shape (n, K), float64, optional
+        At least 0 where light passes; between the nodes it is linear.
+
+    Returns
+    -------
+    Segments
+        At most n (K - 1); those without light are left out.
+    """
+    n_channels = density.shape[2]
+    ends = np.stack([x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]], axis=-1).reshape(-1, 4)
+    start, stop = density[:, :-1].reshape(-1, n_channels), density[:, 1:].reshape(-1, n_channels)
+    if clearance is None:
+        lit = (start.max(axis=1) > 0.0) | (stop.max(axis=1) > 0.0)
+        return Segments(ends[lit], start[lit], stop[lit])
+    here, there = clearance[:, :-1].ravel(), clearance[:, 1:].ravel()
+    lit = np.maximum(here, there) > 0.0
+    ends, start, stop, here, there = ends[lit], start[lit], stop[lit], here[lit], there[lit]
+    change = np.where(here == there, 1.0, here - there)
+    crossing = here / change
+    first = np.where(here < 0.0, crossing, 0.0)[:, None]
+    last = np.where(there < 0.0, crossing, 1.0)[:, None]
+    begin, step = ends[:, :2], ends[:, 2:] - ends[:, :2]
+    cut = np.concatenate([begin + first * step, begin + last * step], axis=1)
+    share = last - first
+    slope = stop - start
+    return Segments(cut, share * (start + first * slope), share * (start + last * slope))
 
 
 def tent(u: FloatArray, low: float, high: float) -> FloatArray:

@@ -1,15 +1,31 @@
 """Rays of the ``simplelens`` model: a thin lens and no motion (LKS section 5.1)."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from precompute.line_sample import Segments, lens_chords, tent
+from precompute import aperture
+from precompute.line_sample import Segments, Tracer, lattice_symmetric, lens_chords, tent
+from spreadlets.psf_model import PsfModel
 
 N_DIMENSIONS = 2
 """Place of the chord, circle of confusion."""
 
 CHORD_ANGLE = 0.3
 """Direction of all chords, radians: far from the lattice's axes and diagonals, to which parallel chords would beat."""
+
+
+def read_settings(**shape: Any) -> dict[str, Any]:
+    """Return the settings of an aperture, see `precompute.aperture.read_settings`."""
+    return aperture.read_settings(None, shape)
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces this model; behind a round, even aperture both sides of the focus are alike."""
+    if model.settings:
+        return aperture.tracer(model, side)
+    return Tracer(N_DIMENSIONS, trace, reach, lattice_symmetric)
 
 
 def trace(

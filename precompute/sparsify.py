@@ -7,6 +7,8 @@ worth. A PSF that needs nearly as many points as it has pixels is kept as pixels
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -45,6 +47,13 @@ CANDIDATE_THRESHOLD = 1e-3
 
 MAX_ORBITS = 800
 """Most unknowns to start from; among more candidates, dart throwing chooses. The time grows with the third power."""
+
+SPIKE = 3.0
+"""A central pixel that is so many times brighter than any around it, and more, is set apart as a spike."""
+
+ONE_PIXEL = (((0, 0), 1.0),)
+ITS_LAPLACIAN = (((0, 0), -4.0), ((-1, 0), 1.0), ((1, 0), 1.0), ((0, -1), 1.0), ((0, 1), 1.0))
+"""Offsets and factors of the points of a spike."""
 
 ROUNDING = 1e-9
 """Negative values up to this fraction of the peak count as zero."""
@@ -91,7 +100,10 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     """
     if not density > 0:
         raise InvalidParameterError(f"density must be above 0, not {density}")
-    boxed = _on_box(_checked(psf))
+    checked = _checked(psf)
+    shift = _offset_of_support(checked)
+    whole = _on_box(_moved(checked, -shift))
+    boxed, spike = split_spike(whole)
     price, limit = PRICE * density**-PRICE_EXPONENT, WORST_LOSS * density**-0.5
     results = []
     if float(distance_transform_edt(_support(boxed)).max()) > THIN_RADIUS:
@@ -101,7 +113,28 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
         # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
         if not results or DIRECT_COST * PRICE * sparsity < _loss(results[0]):
             results.append(_measured(boxed, _direct_spreadlet(boxed, threshold)))
-    return min(results, key=_loss)
+    spreadlet, statistics = min(results, key=_loss)
+    spreadlet = _with_spike(spreadlet, spike)
+    statistics |= {
+        "n_points": spreadlet.n_points,
+        "sparsity": spreadlet.n_points / statistics["n_support"],
+    }
+    return replace(spreadlet, offset_rc=(spreadlet.offset_rc + shift).astype(np.int16)), statistics
+
+
+def _offset_of_support(psf: FloatArray) -> IntArray:
+    """Return how far, in whole px, the middle of the light lies from the centre: an aberrated PSF is off its pixel."""
+    place = np.argwhere((psf > 0).any(axis=2))
+    middle = (place.min(axis=0) + place.max(axis=0)) // 2
+    return np.asarray(middle - np.asarray(psf.shape[:2]) // 2, np.int64)
+
+
+def _moved(psf: FloatArray, shift: IntArray) -> FloatArray:
+    """Move a PSF by whole pixels, on a window that grows with the shift."""
+    if not shift.any():
+        return psf
+    padded = np.pad(psf, [(abs(int(n)), abs(int(n))) for n in shift] + [(0, 0)])
+    return np.asarray(np.roll(padded, (int(shift[0]), int(shift[1])), axis=(0, 1)))
 
 
 def _loss(result: Result) -> float:
@@ -156,6 +189,56 @@ def _sparse_spreadlet(psf: FloatArray, price: float, limit: float, seed: int) ->
     index, value = eliminate(equations, size, price / int(_support(psf).sum()), limit)
     offset, spread_value = expand(members[index], size[index], value)
     return Spreadlet(offset.astype(np.int16), quantise(offset, spread_value * peak))
+
+
+def split_spike(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Take what a central pixel has above its neighbours off a PSF.
+
+    Light that passes a medium unscattered stays in one pixel, a thousand times brighter than the rest. The similarity
+    is relative to the peak, and would see nothing else, however much light there is around it.
+
+    Parameters
+    ----------
+    psf : ndarray of shape (H, W, C), float64
+        PSF, centred, odd sizes.
+
+    Returns
+    -------
+    rest : ndarray of shape (H, W, C), float64
+    spike : ndarray of shape (C,), float64
+        What was taken off the central pixel: zero, unless that is more than `SPIKE` times as bright as any around it.
+    """
+    row, column = np.asarray(psf.shape[:2]) // 2
+    if min(row, column) < 1:
+        return psf, np.zeros(psf.shape[2])
+    around = psf[row - 1 : row + 2, column - 1 : column + 2].copy()
+    around[1, 1] = 0.0
+    highest = around.max(axis=(0, 1))
+    spike = psf[row, column] - highest
+    if not (spike > SPIKE * highest).all() or not highest.max() > 0.0:
+        return psf, np.zeros_like(spike)
+    rest = psf.copy()
+    rest[row, column] = highest
+    # In a PSF of few pixels, a bright one is no spike but the PSF.
+    if float(distance_transform_edt(_support(rest)).max()) <= THIN_RADIUS:
+        return psf, np.zeros_like(spike)
+    return rest, spike
+
+
+def _with_spike(spreadlet: Spreadlet, spike: FloatArray) -> Spreadlet:
+    """Add a spike to a spreadlet: one pixel, or the five points of its Laplacian."""
+    if not spike.any():
+        return spreadlet
+    dense: dict[tuple[int, int], FloatArray] = {
+        (int(row), int(column)): np.asarray(value, np.float64)
+        for (row, column), value in zip(spreadlet.offset_rc, spreadlet.value, strict=True)
+    }
+    for place, factor in ONE_PIXEL if spreadlet.direct else ITS_LAPLACIAN:
+        dense[place] = dense.get(place, np.zeros_like(spike)) + factor * spike
+    offset = np.array(sorted(dense), np.int64)
+    value = np.stack([dense[int(row), int(column)] for row, column in offset])
+    rounded = value.astype(np.float32) if spreadlet.direct else quantise(offset, value)
+    return Spreadlet(offset.astype(np.int16), rounded, spreadlet.direct)
 
 
 def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], seed: int) -> IntArray:

@@ -5,7 +5,7 @@ import math
 import numba
 import numpy as np
 
-from spreadlets._kernels import fold_direction, grid_coordinate
+from spreadlets._kernels import fold_pose, grid_coordinate
 
 INVISIBLE = -1
 SHARP = 0
@@ -18,6 +18,34 @@ def coc_radii(depth, scale, inverse_focus, coc):
     for row in numba.prange(depth.shape[0]):
         for col in range(depth.shape[1]):
             coc[row, col] = scale * (inverse_focus - 1.0 / np.float64(depth[row, col]))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_segments(before, after, time, tolerance, most, segments):
+    """Fill ``segments`` (H, W), int32, with the number, a power of 2, of chords that follow each path closely enough.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion to the frame's time and from it, px per frame.
+    time : float
+        Duration of the shutter, frames.
+    tolerance : float
+        Largest distance of the path from its chords, px.
+    most : int
+        Largest number.
+    """
+    for row in numba.prange(before.shape[0]):
+        for col in range(before.shape[1]):
+            x = np.float64(after[row, col, 0]) - np.float64(before[row, col, 0])
+            y = np.float64(after[row, col, 1]) - np.float64(before[row, col, 1])
+            # A parabola is farthest from its chord at half time, by acceleration time^2 / 8; halving divides by 4.
+            distance = 0.125 * time * time * math.sqrt(x * x + y * y)
+            count = 1
+            while count < most and distance > tolerance:
+                count *= 2
+                distance *= 0.25
+            segments[row, col] = count
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -40,39 +68,40 @@ def _scale_step(excess, steps_per_octave, n_scales):
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def variant_keys(radiance, coordinate, path, sharp_extent, grid, scales, key, excess):
+def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
     """Map the labels of each pixel to the key of its variant.
 
     Parameters
     ----------
-    radiance : ndarray of shape (H, W, 4), float32
-        Pixels of zero colour and alpha get the key `INVISIBLE`.
+    colour : tuple of two ndarrays of shapes (H, W, 4) and (H, W) or (0, 0), float32
+        Colours and weights; no weights means 1. Pixels of zero colour and alpha, or weight, get the key `INVISIBLE`.
     coordinate : tuple of n_axes ndarrays of shape (H, W), float32
         Physical coordinates; their signs are ignored.
-    path : ndarray of shape (H, W, 2), float32
-        Motion (dx, dy), whose direction is used.
-    sharp_extent : float
-        Pixels whose coordinates sum to no more, the last counted half if it is the length of a path, get the key
-        `SHARP`.
+    pose : tuple
+        Vector (dx, dy) whose direction is used, (H, W, 2) float32; signed CoC radius, (H, W) float32; and the model's
+        `PoseSymmetry.codes`.
     grid : tuple of ndarrays
-        ``remap`` and ``shape`` of the model's grid, its ``unit_cell`` flattened, ``cell_start`` of the database; and
-        the share of each coordinate in the PSF's extent.
-    scales : tuple of two ints
-        Scale steps per octave, and number of scale steps.
+        ``remap`` and ``shape`` of the model's grid, its ``unit_cell``; ``cell_start`` of the database.
+    scales : tuple
+        Scale steps per octave; number of scale steps; which axes scale the PSF, (n_axes,) bool; how much of each
+        coordinate adds to the PSF's extent, (n_axes,) float64; and the extent up to which the key is `SHARP`.
     key : ndarray of shape (H, W), int64
         Filled with ``1 + (scale step * n_spreadlets + spreadlet) * 8 + orientation``.
     excess : ndarray of shape (H, 3), float64
         Filled with each row's largest factor by which a PSF exceeds the range, the number of such pixels, and the
         largest scale step.
     """
-    remap, shape, unit_cell, cell_start, share = grid
-    steps_per_octave, n_scales = scales
+    radiance, weight = colour
+    remap, shape, unit_cell, cell_start = grid
+    steps_per_octave, n_scales, scaling, share, sharp_extent = scales
+    heading, coc, (arrow, lattice, sign) = pose
     n_axes = len(remap)
     n_spreadlets = cell_start[-1]
     for row in numba.prange(radiance.shape[0]):
         excess[row] = 0.0
         for col in range(radiance.shape[1]):
-            if not (radiance[row, col, 0] or radiance[row, col, 1] or radiance[row, col, 2] or radiance[row, col, 3]):
+            r, g, b, a = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2], radiance[row, col, 3]
+            if not (r or g or b or a) or (weight.shape[0] and weight[row, col] == 0):
                 key[row, col] = INVISIBLE
                 continue
             extent = 0.0
@@ -80,7 +109,8 @@ def variant_keys(radiance, coordinate, path, sharp_extent, grid, scales, key, ex
             for axis in range(n_axes):
                 size = abs(np.float64(coordinate[axis][row, col]))
                 extent += share[axis] * size
-                factor = max(factor, size / remap[axis, 0])
+                if scaling[axis]:
+                    factor = max(factor, size / remap[axis, 0])
             if extent <= sharp_extent:
                 key[row, col] = SHARP
                 continue
@@ -94,38 +124,41 @@ def variant_keys(radiance, coordinate, path, sharp_extent, grid, scales, key, ex
                 excess[row, 2] = max(excess[row, 2], step)
             unit = 0
             for axis in range(n_axes):
-                size = abs(np.float64(coordinate[axis][row, col])) * shrink
+                size = abs(np.float64(coordinate[axis][row, col])) * (shrink if scaling[axis] else 1.0)
                 place = int(grid_coordinate(size, remap[axis], shape[axis]))
                 unit = unit * shape[axis] + min(place, shape[axis] - 1)
             cell = unit_cell[unit]
-            n_directions = cell_start[cell + 1] - cell_start[cell]
-            direction, transpose, flip_row, flip_col = 0, False, False, False
-            if n_directions > 1:
-                angle = math.atan2(path[row, col, 1], path[row, col, 0])
-                direction, transpose, flip_row, flip_col = fold_direction(angle, n_directions)
+            n_poses = cell_start[cell + 1] - cell_start[cell]
+            angle = math.atan2(heading[row, col, 1], heading[row, col, 0]) if n_poses > 1 else 0.0
+            codes = arrow, lattice, sign
+            number, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, codes)
             orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
-            key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + direction) + orientation
+            key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + number) + orientation
 
 
 @numba.njit(cache=True, fastmath=False)
-def used_keys(key, n_keys):
-    """Return the keys in use, ascending, int64; and for each key its place among them, int32, -1 if not in use."""
-    place = np.full(n_keys, -1, np.int32)
+def mark_keys(key, place):
+    """Set ``place`` (n_keys,), int32, to 0 for each key in use."""
     for row in range(key.shape[0]):
         for col in range(key.shape[1]):
             if key[row, col] >= 0:
                 place[key[row, col]] = 0
+
+
+@numba.njit(cache=True, fastmath=False)
+def number_keys(place):
+    """Replace the marks in ``place`` by ascending numbers, in place; return the marked keys, int64."""
     count = 0
-    for i in range(n_keys):
+    for i in range(len(place)):
         count += place[i] == 0
     used = np.empty(count, np.int64)
     count = 0
-    for i in range(n_keys):
+    for i in range(len(place)):
         if place[i] == 0:
             used[count] = i
             place[i] = count
             count += 1
-    return used, place
+    return used
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -232,12 +265,13 @@ def border_colours(strip, half, colour):
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def extend_frame(frame, colours, reach, origin, extended):
-    """Continue a frame's border outwards, as far as the PSFs of its pixels reach back.
+    """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
 
     Parameters
     ----------
-    frame : tuple of three ndarrays
-        Colours (H, W, 4), float32; labels (H, W), int32; shifts (H, W, 2) or (0, 0, 2), int32.
+    frame : tuple of four ndarrays
+        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32; shifts (H, W, 2) or
+        (0, 0, 2), int32.
     colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
         What lies above, below, left and right of the frame.
     reach : ndarray of shape (n_variants,), int64
@@ -247,7 +281,7 @@ def extend_frame(frame, colours, reach, origin, extended):
     extended : tuple of three ndarrays
         Colours, labels and shifts of the extended frame; filled, labels with -1 where nothing is drawn.
     """
-    radiance, label, shift = frame
+    radiance, share, label, shift = frame
     above, below, before, behind = colours
     out_radiance, out_label, out_shift = extended
     height, width = label.shape
@@ -261,11 +295,12 @@ def extend_frame(frame, colours, reach, origin, extended):
             if out_shift.shape[0]:
                 out_shift[i, j, 0] = shift[row, col, 0]
                 out_shift[i, j, 1] = shift[row, col, 1]
+            weight = share[row, col] if share.shape[0] else np.float32(1.0)
             distance = max(abs(down - row), abs(right - col))
             if distance == 0:
                 out_label[i, j] = index
                 for c in range(4):
-                    out_radiance[i, j, c] = radiance[row, col, c]
+                    out_radiance[i, j, c] = weight * radiance[row, col, c]
                 continue
             if down < 0:
                 colour = above[col]
@@ -277,4 +312,4 @@ def extend_frame(frame, colours, reach, origin, extended):
             drawn = index >= 0 and not dark and distance <= reach[index % len(reach)]
             out_label[i, j] = index if drawn else -1
             for c in range(4):
-                out_radiance[i, j, c] = colour[c]
+                out_radiance[i, j, c] = weight * colour[c]

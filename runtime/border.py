@@ -9,6 +9,7 @@ from runtime import _plan_kernels
 from runtime.splat import NO_SHIFT, SplatPass
 
 Image = npt.NDArray[np.float32]
+Colours = tuple[Image, Image, Image, Image]
 
 BORDER_STRIP = 8
 """Depth, px, of the strip along a border whose median colour continues the frame."""
@@ -16,36 +17,41 @@ BORDER_MEDIAN = 15
 """Length, px, of the median along the border: a highlight shorter than half of it is not continued."""
 
 
-def extended_pass(frame: SplatPass, reach: npt.NDArray[np.int64]) -> SplatPass:
-    """Return a frame with what lies beyond its border.
+def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], colours: Colours | None) -> SplatPass:
+    """Return a frame with its pixels weighted, and with what lies beyond its border.
 
-    Labels repeat those of the nearest border pixel, as far as its PSF reaches back into the frame. Colours are the
-    robust colour of the nearest piece of border: a plain repetition would turn a highlight at the border into a streak
-    of highlights outside, and its bokeh would grow brighter towards the border; the median leaves it out.
+    Labels and weights repeat those of the nearest border pixel, as far as its PSF reaches back into the frame.
 
     Parameters
     ----------
     frame : SplatPass
         The labelled pixels of the frame, with stride 1 and origin (0, 0).
+    share : ndarray of shape (H, W) or (0, 0), float32
+        Weight of each pixel; empty if all are 1.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches from its pixel, px.
+    colours : tuple of ndarrays or None
+        What lies beyond the border, see `border_colours`; None to end there.
 
     Returns
     -------
     SplatPass
-        The frame itself if no PSF reaches across its border.
+        Colours and labels are new arrays, or the frame's own where they are the same.
     """
     height, width = frame.label.shape
-    edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
-    top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
-    if not (top or bottom or left or right):
+    top = bottom = left = right = 0
+    if colours is not None and len(reach):
+        edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
+        top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
+    elif not len(share):
         return frame
     shape = top + height + bottom, left + width + right
     shift: npt.NDArray[np.int32] = NO_SHIFT if frame.shift is NO_SHIFT else np.empty((*shape, 2), np.int32)
     extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32), shift)
+    nothing = np.zeros((0, 4), np.float32)
     _plan_kernels.extend_frame(
-        (frame.radiance, frame.label, frame.shift),
-        _border_colours(frame.radiance),
+        (frame.radiance, share, frame.label, frame.shift),
+        colours or (nothing, nothing, nothing, nothing),
         reach,
         extended.origin,
         (extended.radiance, extended.label, extended.shift),
@@ -53,11 +59,15 @@ def extended_pass(frame: SplatPass, reach: npt.NDArray[np.int64]) -> SplatPass:
     return extended
 
 
-def _border_colours(radiance: Image) -> tuple[Image, ...]:
-    """Return the robust colours along the top, bottom, left and right border, shapes (W, 4) and (H, 4)."""
+def border_colours(radiance: Image) -> Colours:
+    """Return the robust colours along the top, bottom, left and right border, shapes (W, 4) and (H, 4).
+
+    A plain repetition would turn a highlight at the border into a streak of highlights outside, and its bokeh would
+    grow brighter towards the border; the median leaves it out.
+    """
     turned = radiance.transpose(1, 0, 2)
-    colours = []
+    colours: list[Image] = []
     for side in (radiance[:BORDER_STRIP], radiance[-BORDER_STRIP:], turned[:BORDER_STRIP], turned[-BORDER_STRIP:]):
         colours.append(np.empty((side.shape[1], 4), np.float32))
         _plan_kernels.border_colours(np.ascontiguousarray(side), BORDER_MEDIAN // 2, colours[-1])
-    return tuple(colours)
+    return colours[0], colours[1], colours[2], colours[3]

@@ -1,56 +1,71 @@
-"""Compositing: re-weighting by accumulated alpha (Lee et al. 2008), and `over`."""
+"""Compositing: each layer is normalised, filled where it was hidden, and put behind the nearer ones."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from runtime import _composite_kernels
+from runtime import _fill_kernels
+from runtime._fill_kernels import COUNT, COVERAGE, LAST
 
 Image = npt.NDArray[np.float32]
 
-MIN_WEIGHT = 1e-6
-"""Accumulated alpha under which a pixel counts as empty: far below any visible share, above float32 noise."""
+LEAST_SEEN = 0.3
+"""Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
+MIN_SUM = 1e-9
+"""Where not even the coarsest level has seen more than this, a layer is empty."""
+
+NOTHING = np.zeros((0, 0), np.float32)
+
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "NOTHING", "add_layer", "is_opaque"]
 
 
-def reweight(padded: Image, origin: tuple[int, int], shape: tuple[int, int], *, opaque: bool) -> Image:
-    """Cut a layer out of its canvas and normalise it by its accumulated alpha.
+def add_layer(
+    image: Image, padded: Image, origin: tuple[int, int], kind: int, *, seen: Image = NOTHING, least: float = LEAST_SEEN
+) -> None:
+    """Normalise a layer and put it behind an image, in place.
 
-    An opaque layer is divided by its alpha: what a moved or blurred object uncovers is filled from what is known there,
-    and splats that overlap do not add up. A partly transparent one is divided only where its alpha exceeds 1.
+    The sums of a layer's splats are divided by what they would be if the layer were everywhere. That measure is, by
+    ``kind``:
+
+    - `COVERAGE`: the share of the layer that was not hidden, ``seen``, blurred as the layer is; by default 1, where
+      nothing was hidden. Where a nearer layer hid part of it, the rest stands for the whole (Lee et al. 2008).
+    - `COUNT`: for stochastic samples, the layer's own weight and the number ``seen`` that passed it: a sample that
+      passes a layer is a hole in it (SLR section 5).
+    - `LAST`: the layer's own weight; behind an opaque last layer there is nothing.
+
+    Where the measure is small, little is known; it is filled from the surroundings, level by level of a pyramid.
 
     Parameters
     ----------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied colour and alpha of the nearer layers.
     padded : ndarray of shape (rows, cols, 4), float32
-        Accumulated premultiplied colour and alpha.
+        Sums of the layer's splats.
     origin : tuple of two ints
-        Row and column, in the layer, of the canvas's first pixel.
-    shape : tuple of two ints
-        Height and width of the layer.
-    opaque : bool
-        Whether every pixel of the layer was opaque before blurring.
-
-    Returns
-    -------
-    ndarray of shape (*shape, 4), float32
-        Premultiplied layer, alpha in [0, 1]; empty where the canvas does not reach.
-
-    Notes
-    -----
-    Lee et al. 2008, "Real-time depth-of-field rendering using point splatting on per-pixel layers".
+        Row and column, in the image, of the canvas's first pixel.
+    kind : int
+    seen : ndarray of shape (H, W), float32
+    least : float
+        Measure from which a pixel stands for itself.
     """
-    layer = np.empty((*shape, 4), np.float32)
-    least = np.float32(MIN_WEIGHT if opaque else 1.0)
-    _composite_kernels.reweight(padded, *origin, opaque, least, layer)
-    return layer
+    bound = np.float32(least)
+    if not _fill_kernels.count_unseen(padded, *origin, seen, kind, bound, image.shape[:2]):
+        _fill_kernels.add_layer(image, padded, *origin, seen, kind)
+        return
+    levels = [np.empty((*image.shape[:2], 5), np.float32)]
+    _fill_kernels.take_sums(padded, *origin, seen, kind, levels[0])
+    while max(levels[-1].shape[:2]) > 1:
+        height, width = levels[-1].shape[:2]
+        levels.append(np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32))
+        _fill_kernels.pull(levels[-2], levels[-1])
+    top = levels[-1]
+    top /= np.maximum(top[..., 4:], MIN_SUM)
+    for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        _fill_kernels.push(fine, coarse, bound)
+    _fill_kernels.add_filled(image, levels[0], kind)
 
 
 def is_opaque(radiance: Image) -> bool:
-    """Return whether every pixel (H, W, 4) is opaque."""
-    return bool(_composite_kernels.all_opaque(radiance))
-
-
-def over(front: Image, back: Image) -> Image:
-    """Composite premultiplied layers: ``front + (1 - alpha_front) back``; all of shape (H, W, 4)."""
-    composite: Image = front + (1.0 - front[..., 3:]) * back
-    return composite
+    """Return whether every pixel (..., 4) is opaque."""
+    return bool((radiance[..., 3] == 1.0).all())

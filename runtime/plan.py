@@ -1,61 +1,68 @@
-"""Planning: from a layer's labels alone, which PSF variants the frame needs, and nothing else."""
+"""Planning: from the labels alone, which PSF variants the frame needs, and nothing else."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from runtime import _plan_kernels
-from runtime.border import extended_pass
+from runtime import _layer_kernels, _plan_kernels
+from runtime.border import border_colours, extended_pass
+from runtime.layers import DEFAULT_SOFTNESS, Layering, Membership
 from runtime.merge import merge_blocks
-from runtime.splat import PointTable, SplatPass
+from runtime.pixels import Pixels, frame_pixels
+from runtime.splat import NO_SHIFT, PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
-from spreadlets.frame import Frame, Layer
+from spreadlets.frame import Frame
+from spreadlets.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
 from spreadlets.psf_model import PsfGrid
 
+DEFAULT_TOLERANCE = 0.004
+"""One step of an 8-bit display."""
 SCALE_STEPS_PER_OCTAVE = 16
 """Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
 N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
 """PSFs are scaled by up to 8; a wider one covers the frame evenly whatever its exact size."""
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
-EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
-"""How much of each coordinate adds to the extent of a PSF."""
+NEVER_SHARP = -1.0
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 
 
-class Labels(NamedTuple):
-    """What the PSF of each pixel depends on, in pixels.
+@dataclass(frozen=True)
+class Settings:
+    """How to draw.
 
     Attributes
     ----------
-    coc : ndarray of shape (H, W), float32
-        Signed radius of the circle of confusion.
-    path : ndarray of shape (H, W, 2), float32
-        Motion (dx, dy) over the shutter.
-    length : ndarray of shape (H, W), float32
-        Length of the path.
-    shift : ndarray of shape (H, W, 2), float32, or None
-        From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
+    tolerance : float
+        See `runtime.merge.merge_blocks`.
+    dense_psf : callable or None
+        If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
+    border : bool
+        Whether to continue the frame beyond its border.
+    n_layers : int
+        Depth layers.
+    softness : float
+        See `runtime.layers.Layering`.
     """
 
-    coc: npt.NDArray[np.float32]
-    path: npt.NDArray[np.float32]
-    length: npt.NDArray[np.float32]
-    shift: npt.NDArray[np.float32] | None
+    tolerance: float = DEFAULT_TOLERANCE
+    dense_psf: DensePsf | None = None
+    border: bool = True
+    n_layers: int = 1
+    softness: float = DEFAULT_SOFTNESS
 
 
 @dataclass
 class Plan:
-    """What one layer needs.
+    """What a set of labelled pixels needs.
 
     Attributes
     ----------
@@ -63,17 +70,23 @@ class Plan:
         The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
     table : PointTable
         The points of the variants in use.
+    n_layers : int
+        Depth layers.
+    members : list of Membership
+        The layers of the pixels that were given, in their order.
     cells_used : set of int
     pixels_skipped : int
-        Pixels of the frame that contribute nothing.
+        Pixels that contribute nothing.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
     left_out : list of str
-        What this layer does not need.
+        What is not needed.
     """
 
     sources: list[list[SplatPass]]
     table: PointTable
+    n_layers: int
+    members: list[Membership]
     cells_used: set[int]
     pixels_skipped: int
     error_bound: float = 0.0
@@ -95,78 +108,49 @@ class Plan:
         }
 
 
-def label_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
-    """Turn depth and motion vectors into the PSF's parameters; an effect that is off has parameter 0."""
-    height, width = layer.depth.shape
-    coc, length = np.zeros((2, height, width), np.float32)
-    if defocus:
-        _plan_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
-    if not motion or not layer.has_motion:
-        return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None)
-    shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
-    path = layer.motion * np.float32(camera.shutter_duration)
-    _plan_kernels.path_lengths(path, length)
-    return Labels(coc, path, length, shift)
-
-
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
-    """Return the (cell, direction) pairs that a frame needs of a database with the given grid."""
-    cell_start = np.concatenate([[0], np.cumsum(grid.direction_counts)])
+    """Return the (cell, pose) pairs that a frame needs of a database with the given grid."""
+    cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
-        key, _ = _variant_keys(layer, label_pixels(layer, camera, defocus=True, motion=True), grid, cell_start)
-        variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
-        needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True):
+            key, _ = _variant_keys(pixels, grid, cell_start)
+            variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
+            needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
     return needed
 
 
-def plan_layer(
-    layer: Layer,
-    labels: Labels,
-    database: Database,
-    tolerance: float,
-    dense_psf: DensePsf | None,
-    *,
-    border: bool = True,
-) -> Plan:
-    """Decide the variant of each pixel, read just the cells in use, and lay out the passes to draw.
-
-    Parameters
-    ----------
-    layer : Layer
-        The labelled pixels.
-    labels : Labels
-        Their PSF parameters.
-    database : Database
-        The spreadlets.
-    tolerance : float
-        See `runtime.merge.merge_blocks`.
-    dense_psf : callable or None
-        If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
-    border : bool
-        Whether to continue the frame beyond its border.
+def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings) -> Plan:
+    """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
 
     Notes
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
-    key, excess = _variant_keys(layer, labels, database.grid, database.cell_start)
-    n_keys = 1 + 8 * database.n_spreadlets * (1 + int(excess[:, 2].max()))
-    used, place = _plan_kernels.used_keys(key, n_keys)
-    label = np.empty(key.shape, np.int32)
-    skipped = int(_plan_kernels.replace_keys(key, place, label))
-    _warn_beyond_range(database.grid, excess, label.size - skipped)
+    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
+    used, place = _used_keys(keys, excess, database.n_spreadlets)
+    indices = [np.empty(key.shape, np.int32) for key in keys]
+    skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(keys, indices, strict=True))
+    _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    table = _point_table(list(variant_points(variants, database, dense_psf)), database.n_channels)
-    moved = _passes(layer.radiance, label, labels.shift)
-    frames = [extended_pass(each, table.reaches + _farthest(each.shift)) if border else each for each in moved]
-    variation = _variation(variants, table, database)
-    merged = [merge_blocks(each, variation, 0.0 if dense_psf else tolerance) for each in frames]
+    table = _point_table(list(variant_points(variants, database, settings.dense_psf)), database.n_channels)
+    labels = [each.labels for each in passes]
+    layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
+    members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
+    splats = [
+        splat
+        for pixels, member in zip(passes, members, strict=True)
+        for splat in _splat_passes(pixels, member, layering.n_layers, table, settings.border)
+    ]
+    variation = np.tile(_variation(variants, table, database), layering.n_layers)
+    merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
     plan = Plan(
         sources=[levels for levels, _ in merged],
         table=table,
+        n_layers=layering.n_layers,
+        members=members,
         cells_used={variant.cell for variant in variants if variant != SHARP},
-        pixels_skipped=skipped,
+        pixels_skipped=int(np.logical_and.reduce([index < 0 for index in indices]).sum()),
         error_bound=max((bound for _, bound in merged), default=0.0),
     )
     plan.left_out = _left_out(plan, labels, variants)
@@ -174,32 +158,52 @@ def plan_layer(
 
 
 def _variant_keys(
-    layer: Layer, labels: Labels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
+    pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
-    given = {"coc": labels.coc, "motion": labels.length}
-    _warn_of_missing_axes(given, grid)
-    names = [axis.name for axis in grid.model.axes]
+    labels, model = pixels.labels, grid.model
+    coordinate = _coordinates(labels, grid)
     key = np.empty(labels.coc.shape, np.int64)
     excess = np.empty((len(key), 3), np.float64)
-    share = np.array([EXTENT_SHARES[name] for name in names], np.float64)
-    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start, share
-    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES
-    coordinate = tuple(given[name] for name in names)
-    _plan_kernels.variant_keys(layer.radiance, coordinate, labels.path, SHARP_EXTENT, tables, scales, key, excess)
+    scaling = np.array([axis.scales for axis in model.axes])
+    share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
+    # Where more than lens and motion blurs, no PSF stays within its pixel.
+    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, SHARP_EXTENT if scaling.all() else NEVER_SHARP
+    pose = np.ascontiguousarray(DIRECTIONS[model.symmetry.angle](labels)), labels.coc, model.symmetry.codes
+    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start
+    _plan_kernels.variant_keys((pixels.radiance, pixels.weight), coordinate, pose, tables, scales, key, excess)
     return key, excess
 
 
-def _warn_of_missing_axes(given: dict[str, npt.NDArray[np.float32]], grid: PsfGrid) -> None:
-    """Say which share of the pixels has an effect that the database's model does not know."""
-    for name in sorted(set(given) - {axis.name for axis in grid.model.axes}):
-        share = 100.0 * np.count_nonzero(given[name]) / given[name].size
+def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32], ...]:
+    """Return the coordinates (H, W) of each pixel; say what the model cannot show."""
+    for name, share in ignored_effects(labels, grid.model):
+        warnings.warn(
+            f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {100 * share:.1f} % of "
+            "the pixels",
+            stacklevel=2,
+        )
+    found = coordinates(labels, grid.model)
+    for axis, values in zip(grid.model.axes, found, strict=True):
+        share = 0.0 if axis.scales else float((np.abs(values) > axis.maximum).mean())
         if share > 0:
             warnings.warn(
-                f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {share:.1f} % of "
-                "the pixels",
+                f"{100 * share:.2f} % of the pixels lie beyond the database's largest {axis.name}, "
+                f"{axis.maximum:g} {axis.unit}: its last cells are used there",
                 stacklevel=2,
             )
+    return found
+
+
+def _used_keys(
+    keys: Sequence[npt.NDArray[np.int64]], excess: Sequence[npt.NDArray[np.float64]], n_spreadlets: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
+    steps = 1 + max(int(each[:, 2].max()) for each in excess)
+    place = np.full(1 + 8 * n_spreadlets * steps, -1, np.int32)
+    for key in keys:
+        _plan_kernels.mark_keys(key, place)
+    return _plan_kernels.number_keys(place), place
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
@@ -245,33 +249,50 @@ def _point_table(
     )
 
 
-def _passes(
-    radiance: npt.NDArray[np.float32], label: npt.NDArray[np.int32], shift: npt.NDArray[np.float32] | None
+def _splat_passes(
+    pixels: Pixels, members: Membership, n_layers: int, table: PointTable, border: bool
 ) -> Iterator[SplatPass]:
-    """Split a layer by the fractional part of its shifts: one pass if there is none, up to four corners else."""
-    if not (label >= 0).any():
+    """Split pixels by layer, and by the fractional part of their shifts; continue them beyond the border."""
+    if not (members.variant >= 0).any():
         return
+    colours = border_colours(pixels.radiance) if border else None
+    for label, weight in _parts(pixels, members, n_layers, table.n_variants):
+        for share, shift in _corners(pixels.labels.shift, label, weight):
+            reach = table.reaches + int(np.abs(shift).max(initial=0))
+            drawn = label if share is weight else np.where(share > 0, label, -1).astype(np.int32)
+            if (drawn >= 0).any():
+                yield extended_pass(SplatPass((0, 0), pixels.radiance, drawn, shift), share, reach, colours)
+
+
+def _parts(
+    pixels: Pixels, members: Membership, n_layers: int, n_variants: int
+) -> Iterator[tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]]:
+    """Yield labels and weights of the pixels' parts in the nearer and in the farther of their layers."""
+    if n_layers == 1:
+        yield members.variant.copy(), pixels.weight
+        return
+    for part in (0, 1):
+        label = np.empty(members.variant.shape, np.int32)
+        share = np.empty(members.variant.shape, np.float32)
+        if _layer_kernels.layer_labels(*members, pixels.weight, n_variants, part, label, share):
+            yield label, share
+
+
+def _corners(
+    shift: npt.NDArray[np.float32] | None, label: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]:
+    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies."""
     if shift is None:
-        yield SplatPass((0, 0), radiance, label)
+        yield weight, NO_SHIFT
         return
     steps = np.rint(shift[..., ::-1].astype(np.float64) * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
     steps[label < 0] = 0
     whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
-    share = fraction / SHIFT_STEPS_PER_PIXEL
-    for corner_row in (0, 1):
-        for corner_col in (0, 1):
-            weight_row = share[..., 0] if corner_row else 1.0 - share[..., 0]
-            weight_col = share[..., 1] if corner_col else 1.0 - share[..., 1]
-            weight = (weight_row * weight_col).astype(np.float32)
-            drawn = np.where(weight > 0, label, -1).astype(np.int32)
-            if (drawn >= 0).any():
-                moved = (whole + (corner_row, corner_col)).astype(np.int32)
-                yield SplatPass((0, 0), radiance * weight[..., None], drawn, moved)
-
-
-def _farthest(shift: npt.NDArray[np.int32]) -> int:
-    """Return the largest displacement in rows or columns, px."""
-    return int(np.abs(shift).max(initial=0))
+    between = (fraction / SHIFT_STEPS_PER_PIXEL).astype(np.float32)
+    for corner in np.ndindex(2, 2):
+        share = np.prod(np.where(corner, between, 1 - between), axis=2)
+        if (share > 0).any():
+            yield share * weight if len(weight) else share, (whole + corner).astype(np.int32)
 
 
 def _variation(variants: list[Variant], table: PointTable, database: Database) -> npt.NDArray[np.float32]:
@@ -285,15 +306,17 @@ def _variation(variants: list[Variant], table: PointTable, database: Database) -
     return variation
 
 
-def _left_out(plan: Plan, labels: Labels, variants: list[Variant]) -> list[str]:
-    """Name what this layer does not need."""
+def _left_out(plan: Plan, labels: Sequence[Labels], variants: list[Variant]) -> list[str]:
+    """Name what is not needed."""
     skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
-        "motion": not labels.length.any(),
-        "defocus": not labels.coc.any(),
+        "motion": not any(each.length.any() for each in labels),
+        "curved motion": len(labels) == 1,
+        "defocus": not any(each.coc.any() for each in labels),
+        "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),
         "direct image": not plan.table.direct.any(),
         "scaled PSFs": all(variant.scale == 1.0 for variant in variants),
-        "sub-pixel placement": labels.shift is None,
+        "sub-pixel placement": all(each.shift is None for each in labels),
     }
     return [name for name, is_skipped in skipped.items() if is_skipped]

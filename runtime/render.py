@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -13,20 +15,24 @@ import numba.core.event
 import numpy as np
 import numpy.typing as npt
 
-from runtime.composite import is_opaque, over, reweight
+from runtime import layers
+from runtime.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
-from runtime.plan import Plan, label_pixels, plan_layer
+from runtime.pixels import Pixels, frame_pixels, sample_pixels
+from runtime.plan import DEFAULT_TOLERANCE, Plan, Settings, plan_pixels
 from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian, sum_rows
 from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame, Layer
+from spreadlets.frame import Frame
+from spreadlets.labels import view_differences
+from spreadlets.sample_buffer import SampleBuffer
 
-DEFAULT_TOLERANCE = 0.004
-"""One step of an 8-bit display."""
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
+LEAST_SAMPLES = 4.0
+"""Samples that must have met a layer, or passed it, for a pixel to stand for itself."""
 
 STEPS = ("read", "plan", "splat", "integrate", "composite", "write")
 
@@ -72,19 +78,84 @@ def _compile_time(recorder: Any) -> float:
     return total
 
 
+class Tally:
+    """The figures of a run, over all its plans."""
+
+    def __init__(self) -> None:
+        self.plans: list[Plan] = []
+        self.layers = 0
+        self.padding = 0
+
+    def add_plan(self, plan: Plan, n_layers: int) -> None:
+        """Add a plan and how many layers it drew."""
+        self.plans.append(plan)
+        self.layers += n_layers
+
+    def add_canvas(self, canvas: Canvas, shape: tuple[int, ...]) -> None:
+        """Note how far beyond the frame there was something to compute."""
+        behind = canvas.top + canvas.rows - shape[0], canvas.left + canvas.cols - shape[1]
+        self.padding = max(self.padding, -canvas.top, -canvas.left, *behind)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to render.
+
+    Attributes
+    ----------
+    defocus, motion : bool
+        Whether to apply each effect.
+    integrator : str
+        Poisson solver, see `runtime.convolution_pyramid.integrate`.
+    cycles : int
+        Cycles of the integrator ``multigrid``; the others take no notice.
+    tolerance : float
+        Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
+    n_layers : int or None
+        Depth layers; by default those that the frame has, or a usual number if it has none.
+    softness : float
+        Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft).
+    dense_psf : callable or None
+        If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
+    filtering : bool
+        Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
+    """
+
+    defocus: bool = True
+    motion: bool = True
+    integrator: str = DEFAULT_METHOD
+    cycles: int = DEFAULT_CYCLES
+    tolerance: float = DEFAULT_TOLERANCE
+    n_layers: int | None = None
+    softness: float = layers.DEFAULT_SOFTNESS
+    dense_psf: DensePsf | None = None
+    filtering: bool = False
+
+    def __post_init__(self) -> None:
+        if self.integrator not in METHODS:
+            raise InvalidParameterError(f"integrator {self.integrator!r} is unknown: allowed are {', '.join(METHODS)}")
+        if not 0.0 <= self.tolerance < 1.0:
+            raise InvalidParameterError(
+                f"tolerance is {self.tolerance}: allowed are 0 (off) to below 1 (the displayed range)"
+            )
+        if self.n_layers is not None and not 1 <= self.n_layers <= layers.MAX_LAYERS:
+            raise InvalidParameterError(f"layers is {self.n_layers}: allowed are 1 to {layers.MAX_LAYERS}")
+        if not 0.0 <= self.softness <= 1.0:
+            raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
+
+    def solver(self) -> Solver:
+        """Return what makes images from what is splatted."""
+        if self.dense_psf is not None and self.dense_psf.by_rows:
+            return sum_rows
+        return partial(integrate, method=self.integrator, cycles=self.cycles)
+
+    def settings(self, n_layers: int, *, border: bool) -> Settings:
+        """Return the settings of the plan."""
+        return Settings(self.tolerance, self.dense_psf, border, n_layers, self.softness)
+
+
 def synthesize(
-    frame: Frame,
-    camera: ThinLens,
-    database: Database,
-    *,
-    defocus: bool = True,
-    motion: bool = True,
-    integrator: str = DEFAULT_METHOD,
-    cycles: int = DEFAULT_CYCLES,
-    tolerance: float = DEFAULT_TOLERANCE,
-    dense_psf: DensePsf | None = None,
-    filtering: bool = False,
-    clock: Clock | None = None,
+    frame: Frame, camera: ThinLens, database: Database, options: Options | None = None, clock: Clock | None = None
 ) -> tuple[Image, dict[str, Any]]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -96,19 +167,8 @@ def synthesize(
         Lens and shutter.
     database : Database
         Spreadlets of the PSF model to use.
-    defocus, motion : bool
-        Whether to apply each effect.
-    integrator : str
-        Poisson solver, see `runtime.convolution_pyramid.integrate`.
-    cycles : int
-        Cycles of the integrator ``multigrid``; the others take no notice.
-    tolerance : float
-        Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
-    dense_psf : callable or None
-        If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
-    filtering : bool
-        Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
-    clock : Clock or None
+    options : Options, optional
+    clock : Clock, optional
         Where the steps' times are added.
 
     Returns
@@ -120,84 +180,236 @@ def synthesize(
 
     Notes
     -----
-    LKS section 6.
+    LKS section 6. A frame of one layer is divided into depth layers: what a nearer one hides of a farther one is
+    filled from what was seen of it. A frame that comes in layers is taken as it is, unless a number of depth layers is
+    asked for: then the pixels of all its layers are distributed anew.
     """
-    if integrator not in METHODS:
-        raise InvalidParameterError(f"integrator {integrator!r} is unknown: allowed are {', '.join(METHODS)}")
-    if not 0.0 <= tolerance < 1.0:
-        raise InvalidParameterError(f"tolerance is {tolerance}: allowed are 0 (off) to below 1 (the displayed range)")
-    clock = clock or Clock()
-    solver = partial(integrate, method=integrator, cycles=cycles)
-    composite: Image | None = None
-    plans = []
-    padding = 0
-    for layer in frame.layers:
+    options, clock = options or Options(), clock or Clock()
+    _warn_about_view(database, camera, frame.shape[1])
+    effects = {"defocus": options.defocus, "motion": options.motion}
+    image = np.zeros((*frame.shape, 4), np.float32)
+    if options.filtering:
+        return _filtered(frame, camera, database, options, clock)
+    with clock.step("plan"):
+        given = [frame_pixels(layer, camera, **effects) for layer in frame.layers]
+    is_whole = len(given) > 1
+    if is_whole and options.n_layers is not None:
+        given = [[pixels for group in given for pixels in group]]
+    n_layers = options.n_layers or (1 if is_whole else layers.DEFAULT_LAYERS)
+    tally = Tally()
+    for number, group in enumerate(given):
         with clock.step("plan"):
-            labels = label_pixels(layer, camera, defocus=defocus, motion=motion)
-            plan = plan_layer(layer, labels, database, tolerance, dense_psf, border=not filtering)
-        if filtering:
-            with clock.step("splat"):
-                image = gather(plan.sources[0][0], plan.table)
-        else:
-            by_rows = dense_psf is not None and dense_psf.by_rows
-            image, beyond = _render_layer(layer, plan, sum_rows if by_rows else solver, clock)
-            padding = max(padding, beyond)
-        with clock.step("composite"):
-            composite = image if composite is None else over(composite, image)
-        plans.append(plan)
-    assert composite is not None, "a frame has at least one layer"
-    return composite, _report(plans, padding, database, clock)
+            plan = plan_pixels(group, database, options.settings(n_layers, border=True))
+            # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
+            closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
+        view = _HiddenShare(group, plan) if not is_whole else None
+        _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
+    return image, _report(tally, database, clock)
 
 
-def _render_layer(layer: Layer, plan: Plan, solver: Solver, clock: Clock) -> tuple[Image, int]:
-    """Splat one layer's Laplacian and direct images, integrate the first, add, and re-weight.
+def reconstruct(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    database: Database,
+    options: Options | None = None,
+    clock: Clock | None = None,
+) -> tuple[Image, dict[str, Any]]:
+    """Make a clean image of a buffer of stochastic samples, blurred by the camera's lens and shutter.
 
-    Also returned is how far beyond the frame there was something to compute, px.
+    Parameters
+    ----------
+    samples : SampleBuffer
+        Labelled samples.
+    camera, database, options, clock
+        As for `synthesize`.
+
+    Returns
+    -------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied, linear.
+    report : dict
+        As for `synthesize`.
+
+    Notes
+    -----
+    LKS section 6.2, "Stochastic frame-buffers"; the opacity of layers is that of SLR section 5: a sample that passes
+    a layer is a hole in it.
     """
-    height, width = layer.shape
-    with clock.step("splat"):
-        sources = [[find_runs(each, plan.table, 1) for each in levels] for levels in plan.sources]
-        canvas = canvas_of([each for levels in sources for each in levels], (0, 1), plan.table, SOLVER_MARGIN)
-    if canvas is None:
-        return np.zeros((height, width, 4), np.float32), 0
-    padded = _splat_layer(sources, canvas, plan, solver, clock)
+    options, clock = options or Options(), clock or Clock()
+    _warn_about_view(database, camera, samples.shape[1])
+    with clock.step("plan"):
+        passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
+        plan = plan_pixels(passes, database, options.settings(options.n_layers or layers.DEFAULT_LAYERS, border=False))
+        view = _PassingSamples(samples, camera, passes, plan)
+        closed = bool((samples.radiance[..., 3] == samples.valid).all())
+    image = np.zeros((*samples.shape, 4), np.float32)
+    tally = Tally()
+    _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
+    return image, _report(tally, database, clock)
+
+
+def average(samples: SampleBuffer, clock: Clock | None = None) -> tuple[Image, dict[str, Any]]:
+    """Return the mean of each pixel's samples, and a report of the time; where there is none, the pixel is empty."""
+    clock = clock or Clock()
     with clock.step("composite"):
-        image = reweight(padded, (canvas.top, canvas.left), layer.shape, opaque=is_opaque(layer.radiance))
-    behind = canvas.top + canvas.rows - height, canvas.left + canvas.cols - width
-    return image, max(-canvas.top, -canvas.left, *behind)
+        count = np.maximum(samples.valid.sum(axis=2), 1)
+        image = (samples.radiance.sum(axis=2) / count[..., None]).astype(np.float32)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return image, {"time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}
 
 
-def _splat_layer(sources: list[list[Runs]], canvas: Canvas, plan: Plan, solver: Solver, clock: Clock) -> Image:
-    """Return the sum of all splats of a layer on a canvas."""
-    sparse, direct = 0, 1
+class _HiddenShare:
+    """How much of each layer of a frame nearer layers leave to be seen."""
+
+    kind = COVERAGE
+    least = LEAST_SEEN
+
+    def __init__(self, passes: Sequence[Pixels], plan: Plan) -> None:
+        # All passes are of the same pixels: they differ in their motion.
+        variant = np.max([each.variant for each in plan.members], axis=0)
+        self.members = plan.members[0]._replace(variant=variant)
+        labels = passes[0].labels
+        self.moments = layers.layer_moments([(labels, labels.path, self.members)], plan.n_layers)
+
+    def seen(self, number: int) -> Image | None:
+        """Return the share of a layer that was seen, or None if it was all seen."""
+        moments = self.moments[number]
+        if moments is None or all(each is None for each in self.moments[:number]):
+            return None
+        return layers.seen_share(self.members, number, moments)
+
+
+class _PassingSamples:
+    """How many samples have passed each layer."""
+
+    kind = COUNT
+    least = LEAST_SAMPLES
+
+    def __init__(self, samples: SampleBuffer, camera: ThinLens, passes: Sequence[Pixels], plan: Plan) -> None:
+        self.passes = passes
+        self.members = []
+        for number, members in enumerate(plan.members):
+            met_nothing = samples.valid[:, :, number] & (samples.radiance[:, :, number, 3] == 0)
+            layer = np.where(met_nothing, np.int32(layers.BEHIND_ALL), members.layer)
+            self.members.append(members._replace(layer=layer))
+        motion = [np.ascontiguousarray(samples.motion[:, :, number]) for number in range(samples.n_samples)]
+        self.moments = layers.layer_moments(
+            [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], plan.n_layers
+        )
+        height, width = samples.shape
+        place = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
+        self.place, self.samples, self.camera = place, samples, camera
+
+    def seen(self, number: int) -> Image | None:
+        """Return the number of samples that passed a layer."""
+        moments = self.moments[number]
+        if moments is None:
+            return None
+        samples = self.samples
+        since_centre = samples.time - np.float32(self.camera.shutter_centre)
+        return layers.passing_samples(
+            [
+                (members, self.place + samples.offset[:, :, i], samples.lens_uv[:, :, i], since_centre[:, :, i])
+                for i, members in enumerate(self.members)
+            ],
+            number,
+            moments,
+        )
+
+
+View = _HiddenShare | _PassingSamples
+
+
+def _add_plan(
+    image: Image, plan: Plan, view: View | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
+) -> None:
+    """Put the layers of a plan behind an image, in place."""
     with clock.step("splat"):
-        if plan.table.direct.all():
-            padded = np.zeros((canvas.rows, canvas.cols, 4), np.float32)
-        else:
-            padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
-            for number, levels in enumerate(sources):
-                splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=number == 0)
-    if not plan.table.direct.all():
+        sources = [[find_runs(each, plan.table, plan.n_layers) for each in levels] for levels in plan.sources]
+    used = [
+        k
+        for k in range(plan.n_layers)
+        if any(len(r.of(2 * k)) + len(r.of(2 * k + 1)) for levels in sources for r in levels)
+    ]
+    for number in used:
+        canvas, padded = _splat_layer(sources, number, plan, solver, clock)
+        last = closed and number == used[-1]
+        with clock.step("composite"):
+            seen = None if view is None or last else view.seen(number)
+            kind = LAST if last else COVERAGE if view is None else view.kind
+            least = LEAST_SEEN if view is None else view.least
+            add_layer(
+                image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
+            )
+        tally.add_canvas(canvas, image.shape)
+    tally.add_plan(plan, len(used))
+
+
+def _splat_layer(
+    sources: list[list[Runs]], number: int, plan: Plan, solver: Solver, clock: Clock
+) -> tuple[Canvas, Image]:
+    """Return the sum of all splats of a layer, and the canvas that it lies on."""
+    sparse, direct = 2 * number, 2 * number + 1
+    flat = [each for levels in sources for each in levels]
+    with clock.step("splat"):
+        canvas = canvas_of(flat, (sparse, direct), plan.table, SOLVER_MARGIN)
+        assert canvas is not None, "only layers with splats are drawn"
+        padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
+        drawn = [levels for levels in sources if any(len(each.of(sparse)) for each in levels)]
+        for count, levels in enumerate(drawn):
+            splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=count == 0)
+    if drawn:
         with clock.step("integrate"):
             padded = solver(padded)
+    else:
+        padded[...] = 0.0
     with clock.step("splat"):
         for levels in sources:
             splat_direct(padded, canvas, levels[0], direct, plan.table)
-    return padded
+    return canvas, padded
 
 
-def _report(plans: list[Plan], padding: int, database: Database, clock: Clock) -> dict[str, Any]:
+def _filtered(
+    frame: Frame, camera: ThinLens, database: Database, options: Options, clock: Clock
+) -> tuple[Image, dict[str, Any]]:
+    """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
+    image = np.zeros((*frame.shape, 4), np.float32)
+    tally = Tally()
+    for layer in frame.layers:
+        with clock.step("plan"):
+            straight = replace(layer, motion_prev=None, motion_next=None)
+            passes = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
+            plan = plan_pixels(passes, database, options.settings(1, border=False))
+        with clock.step("splat"):
+            filtered = gather(plan.sources[0][0], plan.table) if plan.sources else np.zeros_like(image)
+        with clock.step("composite"):
+            add_layer(image, filtered, (0, 0), COVERAGE)
+        tally.add_plan(plan, 1)
+    return image, _report(tally, database, clock)
+
+
+def _warn_about_view(database: Database, camera: ThinLens, width: int) -> None:
+    """Say in what the camera differs from the one that the database was built for."""
+    differences = view_differences(database.grid.model, camera, width)
+    if differences:
+        warnings.warn(
+            f"the database {database.path.name!r} was built for another camera: {'; '.join(differences)}", stacklevel=3
+        )
+
+
+def _report(tally: Tally, database: Database, clock: Clock) -> dict[str, Any]:
     """Gather the plans' figures under the names of the command line's JSON output."""
+    plans = tally.plans
     counts = [plan.counts() for plan in plans]
     left_out = set.intersection(*(set(plan.left_out) for plan in plans))
     figures: dict[str, Any] = {name: sum(count[name] for count in counts) for name in counts[0]}
     figures |= {
-        "layers": len(plans),
+        "layers": tally.layers,
         "cells_used": len(set.union(*(plan.cells_used for plan in plans))),
         "cells_total": database.n_cells,
         "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
         "error_bound": max(plan.error_bound for plan in plans),
-        "padding_px": padding,
+        "padding_px": tally.padding,
         "left_out": [name for name in plans[0].left_out if name in left_out],
     }
     return {

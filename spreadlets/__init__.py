@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from spreadlets import errors as errors
     from spreadlets import metrics as metrics
     from spreadlets.api import build_database as build_database
+    from spreadlets.api import reconstruct as reconstruct
     from spreadlets.api import synthesize as synthesize
     from spreadlets.camera import ThinLens as ThinLens
     from spreadlets.camera import read_camera as read_camera
@@ -33,7 +34,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submodules=["errors", "metrics"],
     submod_attrs={
-        "api": ["build_database", "synthesize"],
+        "api": ["build_database", "reconstruct", "synthesize"],
         "camera": ["ThinLens", "read_camera"],
         "database": ["Database", "open_database"],
         "deep": ["DeepImage", "write_deep"],

@@ -15,6 +15,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 _OCTANT = math.pi / 4.0
 
+SIGN_IGNORED, SIGN_TURNED, SIGN_STORED = 0, 1, 2
+"""What the side of the focus does to a PSF: nothing; half a turn; it has spreadlets of its own."""
+
 
 @numba.njit(cache=True, fastmath=False)
 def triangular_root(value: float) -> int:
@@ -141,13 +144,73 @@ def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bo
     return index, transpose, mirrored and not transpose, mirrored and transpose
 
 
+@numba.njit(cache=True, fastmath=False)
+def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
+    """Fold a direction as `fold_direction` does, but tell it from its opposite: all eight symmetries are in use."""
+    across, along = math.sin(angle), math.cos(angle)
+    flip_row, flip_col = across < 0.0, along < 0.0
+    transpose = abs(across) > abs(along)
+    folded = math.atan2(min(abs(across), abs(along)), max(abs(across), abs(along)))
+    last = n_directions - 1
+    index = min(max(int(folded / _OCTANT * last + 0.5), 0), last)
+    if index == 0:
+        # The PSF is its own mirror image about an axis.
+        flip_row, flip_col = flip_row and transpose, flip_col and not transpose
+    elif index == last:
+        transpose = False
+    return index, transpose, flip_row, flip_col
+
+
+@numba.njit(cache=True, fastmath=False)
+def fold_pose(
+    angle: float, in_front: bool, n_poses: int, codes: tuple[bool, bool, int]
+) -> tuple[int, bool, bool, bool]:
+    """Find the stored pose nearest to a direction on a side of the focus, and the symmetry that brings it there.
+
+    Parameters
+    ----------
+    angle : float
+        Radians, ``atan2(dy, dx)``, y down.
+    in_front : bool
+        Whether the pixel lies in front of the focus.
+    n_poses : int
+        Poses of the cell.
+    codes : tuple
+        `spreadlets.psf_model.PoseSymmetry.codes`.
+
+    Returns
+    -------
+    number, transpose, flip_row, flip_col
+        The pose; transpose first, then negate.
+    """
+    arrow, lattice, sign = codes
+    turned = in_front and sign == SIGN_TURNED
+    n_directions = n_poses // 2 if sign == SIGN_STORED else n_poses
+    index, transpose, flip_row, flip_col = 0, False, False, False
+    if n_directions > 1:
+        # Half a turn of the PSF turns its direction, too.
+        wanted = angle + math.pi if turned else angle
+        if not lattice:
+            turns = wanted / (8.0 * _OCTANT if arrow else 4.0 * _OCTANT)
+            index = int((turns - math.floor(turns)) * n_directions + 0.5) % n_directions
+        elif arrow:
+            index, transpose, flip_row, flip_col = fold_arrow(wanted, n_directions)
+        else:
+            index, transpose, flip_row, flip_col = fold_direction(wanted, n_directions)
+    if in_front and sign == SIGN_STORED:
+        index += n_directions
+    return index, transpose, flip_row != turned, flip_col != turned
+
+
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def fold_directions(angles: FloatArray, n_directions: IntArray) -> tuple[IntArray, BoolArray]:
-    """Apply `fold_direction` elementwise; return the indices (n,) and the three flags as columns (n, 3)."""
+def fold_poses(
+    angles: FloatArray, in_front: BoolArray, n_poses: IntArray, codes: tuple[bool, bool, int]
+) -> tuple[IntArray, BoolArray]:
+    """Apply `fold_pose` elementwise; return the numbers (n,) and the three flags as columns (n, 3)."""
     index = np.empty(angles.shape[0], dtype=np.int64)
     flags = np.empty((angles.shape[0], 3), dtype=np.bool_)
     for row in numba.prange(angles.shape[0]):
-        node, transpose, flip_row, flip_col = fold_direction(angles[row], n_directions[row])
+        node, transpose, flip_row, flip_col = fold_pose(angles[row], in_front[row], n_poses[row], codes)
         index[row] = node
         flags[row, 0] = transpose
         flags[row, 1] = flip_row

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +15,28 @@ from spreadlets.camera import ThinLens
 from spreadlets.database import Database, open_database
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
+from spreadlets.sample_buffer import SampleBuffer
 
 if TYPE_CHECKING:
-    from runtime.render import Clock
+    from runtime.render import Clock, Options
 
 Image = npt.NDArray[np.float32]
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
+RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", "mean")
+
+
+class RenderOptions(TypedDict, total=False):
+    """What `synthesize` and `reconstruct` have in common; None stands for the default."""
+
+    integrator: str | None
+    cycles: int | None
+    tolerance: float | None
+    layers: int | None
+    softness: float | None
+    defocus: bool
+    motion: bool
+    clock: Clock | None
 
 
 @overload
@@ -29,14 +45,9 @@ def synthesize(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    report: Literal[False] = ...,
     method: str = ...,
-    integrator: str | None = ...,
-    cycles: int | None = ...,
-    tolerance: float | None = ...,
-    defocus: bool = ...,
-    motion: bool = ...,
-    clock: Clock | None = ...,
+    report: Literal[False] = ...,
+    **options: Unpack[RenderOptions],
 ) -> Image: ...
 
 
@@ -46,14 +57,9 @@ def synthesize(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    report: Literal[True],
     method: str = ...,
-    integrator: str | None = ...,
-    cycles: int | None = ...,
-    tolerance: float | None = ...,
-    defocus: bool = ...,
-    motion: bool = ...,
-    clock: Clock | None = ...,
+    report: Literal[True],
+    **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
 
 
@@ -63,13 +69,8 @@ def synthesize(
     database: Database | str | None = None,
     *,
     method: str = "spreadlets",
-    integrator: str | None = None,
-    cycles: int | None = None,
-    tolerance: float | None = None,
-    defocus: bool = True,
-    motion: bool = True,
     report: bool = False,
-    clock: Clock | None = None,
+    **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
     """Put the depth of field and the motion blur of a camera on a rendered frame.
 
@@ -85,6 +86,8 @@ def synthesize(
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
+    report : bool
+        Also return the figures of the run.
     integrator : str, optional
         Poisson solver: ``multigrid`` (default), ``pyramid``, ``exact``, ``pyramid-f5`` or ``pyramid-f7``.
     cycles : int, optional
@@ -93,10 +96,13 @@ def synthesize(
         Error of the displayed image, as a share of its range, that may be traded for speed by drawing blocks of like
         pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display. The other
         methods always treat every pixel by itself.
+    layers : int, optional
+        Number of global depth layers, in equal steps of CoC. By default a frame that comes in layers keeps them, and
+        any other is divided into 6; 1 draws all pixels into one image and normalises it by accumulated weight.
+    softness : float, optional
+        Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft, the default).
     defocus, motion : bool
         Whether to apply each effect.
-    report : bool
-        Also return the figures of the run.
     clock : Clock, optional
         Adds the times of the steps to those that the caller has already taken.
 
@@ -110,36 +116,123 @@ def synthesize(
     Raises
     ------
     InvalidParameterError
-        If the method or the integrator is unknown.
+        If the method or the integrator is unknown, or a parameter is out of its range.
     InvalidDatabaseError
         If the database cannot be used.
     """
-    from runtime import convolution_pyramid, render
+    from runtime import render
 
-    if method not in METHODS:
-        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(METHODS)}")
+    _check_method(method, METHODS)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
-    opened = (
-        database if isinstance(database, Database) else open_database(database or _default_database(layered, motion))
-    )
-    try:
-        image, figures = render.synthesize(
-            layered,
-            camera,
-            opened,
-            defocus=defocus,
-            motion=motion,
-            integrator=integrator or convolution_pyramid.DEFAULT_METHOD,
-            cycles=convolution_pyramid.DEFAULT_CYCLES if cycles is None else cycles,
-            tolerance=render.DEFAULT_TOLERANCE if tolerance is None else tolerance,
-            dense_psf=None if method == "spreadlets" else DensePsfs(opened, by_rows=method == "dense-rows"),
-            filtering=method == "gather",
-            clock=clock,
-        )
-    finally:
-        if opened is not database:
-            opened.close()
+    moving = options.get("motion", True) and any(layer.has_motion for layer in layered.layers)
+    with _opened(database, moving) as opened:
+        given, clock = _render_options(opened, method, options)
+        image, figures = render.synthesize(layered, camera, opened, given, clock)
     return (image, figures) if report else image
+
+
+@overload
+def reconstruct(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    database: Database | str | None = ...,
+    *,
+    method: str = ...,
+    report: Literal[False] = ...,
+    **options: Unpack[RenderOptions],
+) -> Image: ...
+
+
+@overload
+def reconstruct(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    database: Database | str | None = ...,
+    *,
+    method: str = ...,
+    report: Literal[True],
+    **options: Unpack[RenderOptions],
+) -> tuple[Image, dict[str, Any]]: ...
+
+
+def reconstruct(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    database: Database | str | None = None,
+    *,
+    method: str = "spreadlets",
+    report: bool = False,
+    **options: Unpack[RenderOptions],
+) -> Image | tuple[Image, dict[str, Any]]:
+    """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
+
+    Parameters
+    ----------
+    samples : SampleBuffer
+        Labelled samples, any number in each pixel.
+    camera, database, report, options
+        As for `synthesize`. Without an effect (``defocus=False``) the image is what a camera without it would see.
+    method : {"spreadlets", "dense", "dense-rows", "mean"}
+        Sparse Laplacian splatting; the same PSFs drawn in full; or the mean of each pixel's samples, the plain Monte
+        Carlo image.
+
+    Returns
+    -------
+    image : ndarray of shape (H, W, 4), float32
+        Linear, premultiplied.
+    report : dict
+        Only with ``report=True``, as for `synthesize`.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the method or the integrator is unknown, or a parameter is out of its range.
+    InvalidDatabaseError
+        If the database cannot be used.
+    """
+    from runtime import render
+
+    _check_method(method, RECONSTRUCTION_METHODS)
+    if method == "mean":
+        image, figures = render.average(samples, options.get("clock"))
+        return (image, figures) if report else image
+    with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
+        given, clock = _render_options(opened, method, options)
+        image, figures = render.reconstruct(samples, camera, opened, given, clock)
+    return (image, figures) if report else image
+
+
+def _check_method(method: str, allowed: Sequence[str]) -> None:
+    if method not in allowed:
+        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")
+
+
+def _render_options(opened: Database, method: str, options: RenderOptions) -> tuple[Options, Clock | None]:
+    """Return the options of the runtime: those that are not given keep its defaults."""
+    from runtime.render import Options
+
+    given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
+    clock = given.pop("clock", None)
+    if "layers" in given:
+        given["n_layers"] = given.pop("layers")
+    if method != "spreadlets":
+        given["dense_psf"] = DensePsfs(opened, by_rows=method == "dense-rows")
+    return Options(**given, filtering=method == "gather"), clock
+
+
+@contextmanager
+def _opened(database: Database | str | None, moving: bool) -> Iterator[Database]:
+    """Open a database for the block, unless it is open."""
+    if isinstance(database, Database):
+        yield database
+        return
+    with open_database(database or default_database(moving)) as opened:
+        yield opened
+
+
+def default_database(moving: bool) -> str:
+    """Return the name of the database for a frame that moves, or not."""
+    return "combined" if moving else "simplelens"
 
 
 def build_database(
@@ -159,17 +252,24 @@ def build_database(
     frames : sequence of Frame, optional
         Build only the cells and directions that these frames use; needs the camera.
     camera : ThinLens, optional
-        Lens and shutter for `frames`.
+        Lens and shutter for `frames`, and for models that depend on the camera.
     """
     from precompute.build import build_database as build
-    from precompute.build import model_grid
+    from precompute.build import model_grid, takes_option
 
-    if (frames is None) != (camera is None):
-        raise InvalidParameterError("a database for certain frames needs both the frames and the camera")
+    if frames is not None and camera is None:
+        raise InvalidParameterError("a database for certain frames needs the camera, too")
+    if camera is not None and takes_option(model, "camera"):
+        options["camera"] = camera
+    elif camera is not None and frames is None:
+        raise InvalidParameterError(f"the model {model!r} takes a camera only together with the frames to build for")
+    if frames and takes_option(model, "width") and options.get("width") is None:
+        options["width"] = frames[0].shape[1]
     if frames is not None and camera is not None:
         from runtime.plan import needed_spreadlets
 
-        grid = model_grid(model, **{name: options.get(name) for name in ("samples", "max_coc", "max_motion")})
+        of_build = ("density", "rays", "jobs", "seed", "progress")
+        grid = model_grid(model, **{name: value for name, value in options.items() if name not in of_build})
         options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))
     build(model, path, **options)
 
@@ -179,11 +279,6 @@ def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
     from spreadlets.plot import plot_database as plot
 
     plot(database, path, DensePsfs(database))
-
-
-def _default_database(frame: Frame, motion: bool) -> str:
-    moving = motion and any(layer.motion.any() for layer in frame.layers)
-    return "combined" if moving else "simplelens"
 
 
 @dataclass(frozen=True)
@@ -198,9 +293,11 @@ class DensePsfs:
         from precompute.light_tracing import trace_psf
 
         grid = self.database.grid
+        stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
         return trace_psf(
             grid.model,
-            grid.box(cell) * scale,
+            grid.box(cell) * stretch,
             direction=float(self.database.directions(cell)[direction]),
             direction_half_width=grid.direction_half_width(cell),
+            side=grid.side(cell, direction),
         )

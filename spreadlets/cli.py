@@ -69,8 +69,26 @@ def cli() -> None:
 @click.option("--max-coc", type=float, help="Largest CoC radius, px.")
 @click.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
 @click.option("--density", type=click.Choice(["0.5", "1", "2"]), default="1", help="Points, times the usual number.")
+@click.option("--lens", help="physicallens: a prescription file, or singlet, doublet, double_gauss (shipped).")
+@click.option("--width", type=click.IntRange(min=1), help="physicallens, volume: width of the frames to come, px.")
+@click.option("--image", help="stylized: the PSF (PNG).")
+@click.option("--colour-offset", type=float, help="stylized: shift of red and blue, in radii of the PSF.")
+@click.option("--medium-density", type=float, help="volume: collisions per metre.")
+@click.option("--anisotropy", type=float, help="volume: mean cosine of the scattering angle, -1 to 1.")
+@click.option("--albedo", type=float, nargs=3, help="volume: share of R, G and B that a collision keeps.")
+@click.option("--max-distance", type=float, help="volume: farthest distance, m.")
+@click.option("--psf-radius", type=float, help="volume: radius of the PSFs, px.")
+@click.option("--blades", type=click.IntRange(min=0), help="simplelens, combined: edges of the aperture (0: round).")
+@click.option("--blade-curvature", type=float, help="... from 0 (straight edges) to 1 (round).")
+@click.option("--rotation", type=float, help="... of the blades, degrees.")
+@click.option("--cats-eye", type=float, help="... distance of a second, clipping circle, radii.")
+@click.option("--cats-eye-angle", type=float, help="... its direction, degrees.")
+@click.option("--squeeze", type=float, help="... width over height of an anamorphic PSF.")
+@click.option("--spherical-aberration", type=float, help="... above 0: dark rim behind focus, bright in front.")
+@click.option("--obstruction", type=float, help="... radius of a central obstruction, radii.")
+@click.option("--shutter-curve", help="combined: openness over time (0,1,1,0.5) or trapezoid:RISE,FALL.")
 @click.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
-@click.option("--camera", "camera_path", help="Camera file (JSON) of those frames.")
+@click.option("--camera", "camera_path", help="Camera file (JSON): of those frames; for physicallens and volume.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
 @json_option
@@ -83,21 +101,27 @@ def build(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Build a database of spreadlets for a PSF MODEL: simplelens or combined.
+    """Build a database of spreadlets for a PSF MODEL: simplelens, combined, physicallens, volume or stylized.
+
+    Options that start with a model's name belong to that model.
 
     An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
 
-    Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+    Examples: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+
+    spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
     """
     from spreadlets.api import build_database
     from spreadlets.camera import read_camera
     from spreadlets.database import open_database
     from spreadlets.exr import read_frame
 
-    if bool(frame_paths) != bool(camera_path):
-        raise click.UsageError("--for and --camera go together")
+    if frame_paths and not camera_path:
+        raise click.UsageError("--for needs --camera, too")
     if camera_path:
-        options |= {"frames": [read_frame(path) for path in frame_paths], "camera": read_camera(camera_path)}
+        options["camera"] = read_camera(camera_path)
+    if frame_paths:
+        options["frames"] = [read_frame(path) for path in frame_paths]
     with _progress(f"building {model}", quiet=as_json) as progress:
         build_database(model, output, density=float(density), progress=progress, **options)
     with open_database(output) as database:
@@ -179,6 +203,8 @@ def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
 @click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
 @click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
 @click.option("--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself.")
+@click.option("--layers", type=click.IntRange(min=1), help="Depth layers (default: the frame's own, else 6).")
+@click.option("--softness", type=float, help="Transition between depth layers: 0 (hard) to 1 (soft, the default).")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
 @input_options
@@ -234,7 +260,8 @@ def synth(
 
 def _synthesis_settings(options: dict[str, Any]) -> dict[str, Any]:
     """Take the options of `synthesize` out of a command's options."""
-    settings = {name: options.pop(name) for name in ("method", "integrator", "cycles", "tolerance")}
+    names = ("method", "integrator", "cycles", "tolerance", "layers", "softness")
+    settings = {name: options.pop(name) for name in names}
     return settings | {"defocus": not options.pop("no_defocus"), "motion": not options.pop("no_motion")}
 
 
@@ -296,13 +323,13 @@ def _sequence(
 @contextmanager
 def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     """Give a function that returns an open database for a frame; each is opened once."""
-    from spreadlets.api import _default_database
+    from spreadlets.api import default_database
     from spreadlets.database import Database, open_database
 
     opened: dict[str, Database] = {}
 
     def choose(name: str | None, frame: Any, motion: bool) -> Database:
-        wanted = name or _default_database(frame, motion)
+        wanted = name or default_database(motion and any(layer.has_motion for layer in frame.layers))
         if wanted not in opened:
             opened[wanted] = open_database(wanted)
         return opened[wanted]
@@ -312,6 +339,68 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     finally:
         for database in opened.values():
             database.close()
+
+
+@cli.command()
+@click.argument("samples", type=click.Path(dir_okay=False), metavar="SAMPLES.exr")
+@click.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help="The image to write (EXR).")
+@click.option("--camera", "camera_path", required=True, type=click.Path(dir_okay=False), help="Camera file (JSON).")
+@click.option("--db", "database", help="Database: a file or a shipped name.")
+@click.option("--spp", type=click.IntRange(min=1), help="Use so many samples of each pixel (default: all).")
+@click.option(
+    "--method",
+    default="spreadlets",
+    show_default=True,
+    help="spreadlets, dense or dense-rows (PSFs drawn in full), or mean (of each pixel's samples).",
+)
+@click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
+@click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
+@click.option("--layers", type=click.IntRange(min=1), help="Depth layers (default: 6).")
+@click.option("--softness", type=float, help="Transition between depth layers: 0 (hard) to 1 (soft, the default).")
+@click.option("--no-defocus", is_flag=True, help="Take depth of field out.")
+@click.option("--no-motion", is_flag=True, help="Take motion blur out.")
+@click.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")
+@click.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image.")
+@json_option
+def reconstruct(
+    samples: str,
+    output: str,
+    camera_path: str,
+    database: str | None,
+    spp: int | None,
+    repair: bool,
+    reference: str | None,
+    no_defocus: bool,
+    no_motion: bool,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Clean a buffer of stochastic samples, which were rendered through lens and shutter.
+
+    SAMPLES.exr holds one part per sample, or is a TLFR buffer.
+
+    Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
+    """
+    from runtime.render import Clock
+    from spreadlets import exr, metrics
+    from spreadlets.api import reconstruct as make
+    from spreadlets.camera import read_camera
+    from spreadlets.sample_files import read_samples
+
+    clock = Clock()
+    with clock.step("read"):
+        camera = read_camera(camera_path)
+        buffer = read_samples(samples, camera=camera, repair=repair)
+        truth = exr.read_image(reference) if reference else None
+    settings |= {"defocus": not no_defocus, "motion": not no_motion}
+    image, report = make(buffer.take(spp) if spp else buffer, camera, database, **settings, report=True, clock=clock)
+    if buffer.dropped_samples:
+        warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
+    figures = metrics.compare(image, truth) if truth is not None else {}
+    with clock.step("write"):
+        exr.write_image(output, image)
+    report["time_s"] = clock.times()
+    _print(report | figures, as_json)
 
 
 @cli.command()

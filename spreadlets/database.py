@@ -27,6 +27,7 @@ MAX_CELLS = 1_000_000
 MAX_SPREADLETS = 20_000_000
 MAX_POINTS = 2_000_000_000
 MAX_OFFSET = 16_384
+MAX_SETTINGS_BYTES = 1 << 22
 """Limits that a file is held to before memory is taken for what it claims to hold; an offset is in pixels."""
 
 MAX_GAP_POINTS = 4096
@@ -91,6 +92,9 @@ def _write_header(file: h5py.File, grid: PsfGrid, provenance: Mapping[str, Any])
     file.attrs["floor"] = np.asarray([axis.floor for axis in grid.model.axes], dtype=np.float64)
     file.attrs["direction_step_px"] = grid.direction_step_px
     file.attrs["provenance"] = json.dumps(dict(provenance), sort_keys=True)
+    if grid.model.settings:
+        text = json.dumps(dict(grid.model.settings), sort_keys=True).encode()
+        file.create_dataset("settings", data=np.frombuffer(text, np.uint8), compression="gzip", compression_opts=9)
 
 
 def _write_cells(file: h5py.File, cells: list[list[CellRecord]]) -> None:
@@ -143,7 +147,7 @@ class Database:
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = _read_provenance(file)
         self.cell_start = _read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1)
-        if not np.array_equal(np.diff(self.cell_start), self.grid.direction_counts):
+        if not np.array_equal(np.diff(self.cell_start), self.grid.pose_counts):
             raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
         n_spreadlets = int(self.cell_start[-1])
         self.point_start = _read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0)
@@ -337,7 +341,7 @@ def _read_grid(file: h5py.File) -> PsfGrid:
             f"{file.filename}: database version {version}, this program reads version {SCHEMA_VERSION}; rebuild it"
         )
     shape = tuple(int(size) for size in np.asarray(file.attrs["shape"]))
-    model = get_model(str(file.attrs["model"]))
+    model = get_model(str(file.attrs["model"]), settings=_read_settings(file))
     ranges = np.stack([file.attrs[name] for name in ("maximum", "power", "floor")], axis=-1)
     if not len(shape) == len(ranges) == model.n_axes or not all(0 < size <= MAX_CELLS for size in shape):
         raise InvalidDatabaseError(f"{file.filename}: grid shape {shape} does not fit model {model.name!r}")
@@ -346,6 +350,19 @@ def _read_grid(file: h5py.File) -> PsfGrid:
         for axis, (maximum, power, floor) in zip(model.axes, ranges, strict=True)
     ]
     return PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
+
+
+def _read_settings(file: h5py.File) -> dict[str, Any]:
+    """Read what the model depends on beside its axes; the models of the first databases have none."""
+    if "settings" not in file:
+        return {}
+    stored = file["settings"]
+    if not isinstance(stored, h5py.Dataset) or stored.dtype != np.uint8 or stored.size > MAX_SETTINGS_BYTES:
+        raise InvalidDatabaseError(f"{file.filename}: the model's settings are not up to {MAX_SETTINGS_BYTES} bytes")
+    settings = json.loads(stored[...].tobytes())
+    if not isinstance(settings, dict):
+        raise InvalidDatabaseError(f"{file.filename}: the model's settings are not a JSON object")
+    return settings
 
 
 def _read_provenance(file: h5py.File) -> dict[str, Any]:

@@ -5,14 +5,15 @@ joins a name to its tracer.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets._kernels import cell_indices, fold_directions, grid_coordinates
+from spreadlets._kernels import SIGN_IGNORED, SIGN_STORED, SIGN_TURNED, cell_indices, fold_poses, grid_coordinates
 from spreadlets.errors import InvalidParameterError
 from spreadlets.grid import NestedGrid, as_coordinates, nested_shape
 
@@ -33,6 +34,17 @@ OCTANT = math.pi / 4.0
 DEFAULT_MAX_COC = 64.0
 DEFAULT_MAX_MOTION = 128.0
 
+DEFAULT_MAX_DISTANCE_M = 4.0
+"""Range of the model `volume`: at its density, 3.6 mean free paths."""
+
+DEFAULT_MAX_ECCENTRICITY_MM = 25.5
+"""Corner of a square image on a sensor 36 mm wide."""
+
+Angle = Literal["motion", "azimuth"]
+Sign = Literal["ignored", "turned", "stored"]
+
+SIGN_CODES: dict[Sign, int] = {"ignored": SIGN_IGNORED, "turned": SIGN_TURNED, "stored": SIGN_STORED}
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -47,6 +59,8 @@ class Axis:
         Grid units grow as ``(s / maximum) ** (1 / power)``: above 1, cells are finer near zero (LKS section 5.2).
     floor : float
         Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
+    scales : bool
+        Whether the PSF beyond the maximum is the one at the maximum, magnified; if not, it is that one as it is.
     """
 
     name: str
@@ -54,6 +68,7 @@ class Axis:
     maximum: float
     power: float
     floor: float = 0.0
+    scales: bool = True
 
     def __post_init__(self) -> None:
         if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf and 0.0 <= self.floor < self.maximum):
@@ -69,6 +84,60 @@ class Axis:
 
 
 @dataclass(frozen=True)
+class PoseSymmetry:
+    """What the direction of a pixel and the sign of its circle of confusion do to its PSF.
+
+    Each cell stores a spreadlet for every *pose* (a side of the focus and a direction) that no symmetry gives from
+    another.
+
+    Parameters
+    ----------
+    angle : {"motion", "azimuth"}
+        The label that the direction is read from: that of the motion, or the pixel's, seen from the image's centre.
+    arrow : bool
+        Whether the opposite direction gives another PSF: an arrow rather than a line.
+    lattice : bool
+        Whether the PSF is its own mirror image about its direction. Then the lattice's symmetries map directions onto
+        each other, and those in [0, pi/4] suffice; else all are stored.
+    sign : {"ignored", "turned", "stored"}
+        In front of focus the PSF is the one behind it; or that, turned by half a turn; or one of its own.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a name is unknown.
+    """
+
+    angle: Angle = "motion"
+    arrow: bool = False
+    lattice: bool = True
+    sign: Sign = "ignored"
+
+    def __post_init__(self) -> None:
+        if self.angle not in get_args(Angle) or self.sign not in get_args(Sign):
+            raise InvalidParameterError(
+                f"angle is {self.angle!r} and sign {self.sign!r}: allowed are {get_args(Angle)} and {get_args(Sign)}"
+            )
+
+    @property
+    def n_sides(self) -> int:
+        """Sides of the focus for which spreadlets are stored."""
+        return 2 if self.sign == "stored" else 1
+
+    @property
+    def n_spans(self) -> int:
+        """How often the octant fits into the directions that are stored."""
+        if self.lattice:
+            return 1
+        return 8 if self.arrow else 4
+
+    @property
+    def codes(self) -> tuple[bool, bool, int]:
+        """The symmetry as the kernels take it: arrow, lattice, and one of `SIGN_CODES`."""
+        return self.arrow, self.lattice, SIGN_CODES[self.sign]
+
+
+@dataclass(frozen=True)
 class PsfModel:
     """A family of PSFs over a few physical parameters.
 
@@ -79,10 +148,14 @@ class PsfModel:
     n_channels : int
         1 for monochromatic PSFs, 3 for coloured ones.
     has_direction : bool
-        Whether the PSF is stretched along a motion. Then the last axis is the length of that motion in px, and each
-        cell holds several directions.
+        Whether the PSF depends on a direction: then each cell holds several. That of a motion goes with a last axis
+        that is the motion's length in px.
     default_cells : int
         Number of cells of the model's grid.
+    symmetry : PoseSymmetry
+        What direction and sign do.
+    settings : mapping
+        What else the PSFs depend on, as the model's tracer takes it; JSON values only. It is stored in the database.
     """
 
     name: str
@@ -90,6 +163,8 @@ class PsfModel:
     n_channels: int
     has_direction: bool
     default_cells: int
+    symmetry: PoseSymmetry = PoseSymmetry()
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def n_axes(self) -> int:
@@ -101,21 +176,60 @@ def _coc_floor(max_coc: float) -> float:
     return min(COC_FLOOR_PX, 0.5 * max_coc)
 
 
-def _simplelens(max_coc: float, max_motion: float) -> PsfModel:
+def _simplelens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens; the motion is ignored."""
-    return PsfModel("simplelens", (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),), 1, False, 100)
+    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),)
+    return PsfModel("simplelens", axes, 1, False, 100, _stored_symmetry(settings), settings)
 
 
-def _combined(max_coc: float, max_motion: float) -> PsfModel:
-    """Thin lens with straight, constant motion; its length is that of the path over the shutter."""
+def _combined(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
+    """Thin lens with straight motion; its length is that of the path over the shutter."""
     axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)), Axis("motion", "px", max_motion, 1.0))
-    return PsfModel("combined", axes, 1, True, 400)
+    return PsfModel("combined", axes, 1, True, 400, _stored_symmetry(settings), settings)
 
 
-MODELS: dict[str, Callable[[float, float], PsfModel]] = {"simplelens": _simplelens, "combined": _combined}
+def _stylized(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
+    """Any image, as large as the circle of confusion, upright on both sides of the focus."""
+    axes = (Axis("coc", "px", max_coc, 1.5, _coc_floor(max_coc)),)
+    return PsfModel("stylized", axes, 3, False, 200, settings=settings)
 
 
-def get_model(name: str, max_coc: float = DEFAULT_MAX_COC, max_motion: float = DEFAULT_MAX_MOTION) -> PsfModel:
+def _volume(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
+    """Homogeneous scattering medium between the scene and the camera."""
+    axes = (Axis("distance", "m", settings.get("max_distance_m", DEFAULT_MAX_DISTANCE_M), 1.0, scales=False),)
+    return PsfModel("volume", axes, 3, False, 200, settings=settings)
+
+
+def _physicallens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
+    """Real glass; depth is told by the circle of confusion that a thin lens would have."""
+    axes = (
+        Axis("depth", "px of CoC", max_coc, 2.5, _coc_floor(max_coc)),
+        Axis("eccentricity", "mm", settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM), 1.2, scales=False),
+    )
+    symmetry = PoseSymmetry("azimuth", arrow=True, sign="stored")
+    return PsfModel("physicallens", axes, 3, True, 4000, symmetry, settings)
+
+
+def _stored_symmetry(settings: Mapping[str, Any]) -> PoseSymmetry:
+    """Return the symmetry that the settings name, by default that of a round aperture and an even shutter."""
+    return PoseSymmetry(**settings.get("symmetry", {}))
+
+
+MODELS: dict[str, Callable[[float, float, Mapping[str, Any]], PsfModel]] = {
+    "simplelens": _simplelens,
+    "combined": _combined,
+    "physicallens": _physicallens,
+    "stylized": _stylized,
+    "volume": _volume,
+}
+
+
+def get_model(
+    name: str,
+    max_coc: float = DEFAULT_MAX_COC,
+    max_motion: float = DEFAULT_MAX_MOTION,
+    settings: Mapping[str, Any] | None = None,
+) -> PsfModel:
     """Return the model called ``name``, scaled to the given ranges.
 
     Parameters
@@ -126,6 +240,8 @@ def get_model(name: str, max_coc: float = DEFAULT_MAX_COC, max_motion: float = D
         Largest circle-of-confusion radius, px.
     max_motion : float
         Longest motion path over the shutter, px; only models with motion use it.
+    settings : mapping, optional
+        What else the model depends on.
 
     Raises
     ------
@@ -134,7 +250,7 @@ def get_model(name: str, max_coc: float = DEFAULT_MAX_COC, max_motion: float = D
     """
     if name not in MODELS:
         raise InvalidParameterError(f"unknown PSF model {name!r}; available: {', '.join(sorted(MODELS))}")
-    return MODELS[name](max_coc, max_motion)
+    return MODELS[name](max_coc, max_motion, settings or {})
 
 
 @dataclass(frozen=True)
@@ -226,11 +342,36 @@ class PsfGrid:
         """
         if not self.model.has_direction:
             return np.ones(self.n_cells, dtype=np.int64)
-        longest = self.boxes[:, -1, 1]
+        longest = self._turning_lengths
         softness = np.diff(self.boxes[:, :-1], axis=2).max(axis=(1, 2), initial=0.0)
         step = np.maximum(self.direction_step_px, 0.5 * softness)
         steps = np.ceil(OCTANT * longest / (2.0 * step))
         return np.where(longest > STILL_MOTION_PX, steps + 1.0, 1.0).astype(np.int64)
+
+    @property
+    def _turning_lengths(self) -> npt.NDArray[np.float64]:
+        """Length, px, of the motion path that a turn moves as much as each cell's PSF, shape (n_cells,).
+
+        A lens is round on its axis: the PSF loses its roundness in proportion to the distance from it.
+        """
+        if self.model.symmetry.angle == "motion":
+            return np.asarray(self.boxes[:, -1, 1], dtype=np.float64)
+        share = self.boxes[:, -1, 1] / self.maximum[-1]
+        return np.asarray(2.0 * share * (self.boxes[:, 0, 1] + self.model.settings.get("aberration_px", 0.0)))
+
+    @cached_property
+    def pose_counts(self) -> npt.NDArray[np.int64]:
+        """Number of poses stored for each cell, shape (n_cells,): directions, times the sides of the focus."""
+        symmetry = self.model.symmetry
+        counts = self.direction_counts
+        if symmetry.n_spans > 1:
+            counts = np.maximum(symmetry.n_spans * (counts - 1), 1)
+        return np.asarray(symmetry.n_sides * counts, dtype=np.int64)
+
+    def side(self, cell: int, number: int) -> int:
+        """Return on which side of the focus a pose of a cell lies: 1 behind it, -1 in front of it."""
+        behind = int(self.pose_counts[cell]) // self.model.symmetry.n_sides
+        return 1 if number < behind else -1
 
     def find(self, coordinates: npt.ArrayLike) -> npt.NDArray[np.int64]:
         """Return the cells of physical coordinates (..., n_axes), clamped to the model's range, as int64 (...)."""
@@ -250,8 +391,12 @@ class PsfGrid:
         return np.asarray(self.boxes[cell].mean(axis=-1), dtype=np.float64)
 
     def directions(self, cell: int) -> npt.NDArray[np.float64]:
-        """Return the motion directions stored for a cell, radians in [0, pi/4], float64."""
-        return np.linspace(0.0, OCTANT, int(self.direction_counts[cell]), dtype=np.float64)
+        """Return the direction of each pose stored for a cell, radians, float64; those behind the focus come first."""
+        symmetry = self.model.symmetry
+        count = int(self.pose_counts[cell]) // symmetry.n_sides
+        stop = symmetry.n_spans * OCTANT
+        nodes = np.linspace(0.0, stop, count, endpoint=symmetry.lattice, dtype=np.float64)
+        return np.tile(nodes, symmetry.n_sides)
 
     def direction_half_width(self, cell: int) -> float:
         """Return the half-width of the pre-filter over directions, radians: the node spacing, 0 for a single node."""
@@ -259,15 +404,17 @@ class PsfGrid:
         return OCTANT / (count - 1) if count > 1 else 0.0
 
     def nearest_direction(
-        self, cell: npt.ArrayLike, angle: npt.ArrayLike
+        self, cell: npt.ArrayLike, angle: npt.ArrayLike, in_front: npt.ArrayLike = False
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Find the stored direction nearest to a motion angle, and the lattice symmetry that brings it there.
+        """Find the stored pose nearest to a direction, and the lattice symmetry that brings it there.
 
         Parameters
         ----------
         cell : array_like of int
         angle : array_like of float
             Radians, ``atan2(dy, dx)`` with y down; any value. Broadcast against ``cell``.
+        in_front : array_like of bool
+            Whether the pixel lies in front of the focus.
 
         Returns
         -------
@@ -281,10 +428,10 @@ class PsfGrid:
         The PSF of constant motion is symmetric under half a turn, so four of the lattice's eight symmetries suffice,
         and `spreadlets._kernels.fold_direction` picks exactly one of them.
         """
-        cells, angles = np.broadcast_arrays(np.asarray(cell, dtype=np.int64), np.asarray(angle, dtype=np.float64))
-        if not self.model.has_direction:
-            still = np.zeros(angles.shape, dtype=np.bool_)
-            return np.zeros(angles.shape, dtype=np.int64), still, still.copy(), still.copy()
-        index, flags = fold_directions(angles.ravel(), self.direction_counts[cells].ravel())
+        cells, angles, front = np.broadcast_arrays(
+            np.asarray(cell, np.int64), np.asarray(angle, np.float64), np.asarray(in_front, np.bool_)
+        )
+        poses = self.pose_counts[cells].ravel()
+        index, flags = fold_poses(angles.ravel(), front.ravel(), poses, self.model.symmetry.codes)
         transpose, flip_row, flip_col = (flags[:, i].reshape(angles.shape) for i in range(3))
         return index.reshape(angles.shape), transpose, flip_row, flip_col

@@ -280,7 +280,7 @@ def test_a_database_for_one_frame_holds_what_it_uses_and_gives_the_same_image(ru
 
 def test_for_and_camera_go_together(run, scene):
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
-    assert status == 2 and "go together" in err
+    assert status == 2 and "--for needs --camera" in err
 
 
 def with_camera(**changes):

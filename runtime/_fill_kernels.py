@@ -1,0 +1,150 @@
+"""Compiled kernels of the composite step: normalise a layer, fill what was not seen of it, and put it behind others."""
+
+import numba
+import numpy as np
+
+COVERAGE, COUNT, LAST = range(3)
+"""What a layer's sums are measured by: the share that was seen; that plus the sums' own weight; their weight alone."""
+
+
+@numba.njit(cache=True, fastmath=False)
+def _measure(weight, seen, kind):
+    """Return by what the sums of a pixel are divided."""
+    if kind == LAST:
+        return max(weight, np.float32(0.0))
+    if kind == COUNT:
+        return max(weight, np.float32(0.0)) + seen
+    return max(weight, seen)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_unseen(padded, top, left, seen, kind, least, shape):
+    """Count the pixels of which less than ``least`` was seen; arguments as for `add_layer`."""
+    count = 0
+    rows, cols = padded.shape[:2]
+    for row in numba.prange(shape[0]):
+        for col in range(shape[1]):
+            i, j = row - top, col - left
+            weight = padded[i, j, 3] if 0 <= i < rows and 0 <= j < cols else np.float32(0.0)
+            share = seen[row, col] if seen.shape[0] else np.float32(1.0)
+            count += _measure(weight, share, kind) < least
+    return count
+
+
+@numba.njit(cache=True, fastmath=False)
+def _blend(out, red, green, blue, alpha, opaque):
+    """Put a premultiplied colour behind a pixel."""
+    left = np.float32(1.0) - out[3]
+    out[0] += left * red
+    out[1] += left * green
+    out[2] += left * blue
+    out[3] = np.float32(1.0) if opaque else min(out[3] + left * alpha, np.float32(1.0))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def add_layer(image, padded, top, left, seen, kind):
+    """Divide a layer by its measure and put it behind an image.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied colour and alpha of nearer layers; changed in place.
+    padded : ndarray of shape (rows, cols, 4), float32
+        Sums of the layer's splats.
+    top, left : int
+        Row and column, in the image, of the canvas's first pixel.
+    seen : ndarray of shape (H, W) or (0, 0), float32
+        Share of the layer that was seen, or number of samples that passed it; empty if all of it was seen.
+    kind : int
+        `COVERAGE`, `COUNT` or `LAST`; the last layer is opaque.
+    """
+    rows, cols = padded.shape[:2]
+    one = np.float32(1.0)
+    for row in numba.prange(image.shape[0]):
+        for col in range(image.shape[1]):
+            i, j = row - top, col - left
+            if not (0 <= i < rows and 0 <= j < cols):
+                continue
+            weight = padded[i, j, 3]
+            scale = one / _measure(weight, seen[row, col] if seen.shape[0] else one, kind)
+            alpha = max(weight * scale, np.float32(0.0))
+            r, g, b = padded[i, j, 0] * scale, padded[i, j, 1] * scale, padded[i, j, 2] * scale
+            _blend(image[row, col], r, g, b, alpha, kind == LAST)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def take_sums(padded, top, left, seen, kind, sums):
+    """Fill ``sums`` (H, W, 5), float32, with a layer's sums and their measure; arguments as for `add_layer`."""
+    rows, cols = padded.shape[:2]
+    for row in numba.prange(sums.shape[0]):
+        for col in range(sums.shape[1]):
+            i, j = row - top, col - left
+            inside = 0 <= i < rows and 0 <= j < cols
+            for c in range(4):
+                sums[row, col, c] = padded[i, j, c] if inside else np.float32(0.0)
+            share = seen[row, col] if seen.shape[0] else np.float32(1.0)
+            sums[row, col, 4] = _measure(sums[row, col, 3], share, kind)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def pull(fine, coarse):
+    """Fill ``coarse`` with the sums of 2 x 2 pixels of ``fine``, both (H, W, 5), float32."""
+    height, width = fine.shape[:2]
+    for row in numba.prange(coarse.shape[0]):
+        for col in range(coarse.shape[1]):
+            for c in range(5):
+                total = fine[2 * row, 2 * col, c]
+                if 2 * col + 1 < width:
+                    total += fine[2 * row, 2 * col + 1, c]
+                if 2 * row + 1 < height:
+                    total += fine[2 * row + 1, 2 * col, c]
+                    if 2 * col + 1 < width:
+                        total += fine[2 * row + 1, 2 * col + 1, c]
+                coarse[row, col, c] = total
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def push(fine, coarse, least):
+    """Divide ``fine`` by its measure where there is enough of it, and fill the rest from ``coarse``, in place.
+
+    Parameters
+    ----------
+    fine : ndarray of shape (H, W, 5), float32
+        Sums and their measure; becomes what they are divided by it.
+    coarse : ndarray of shape (H / 2, W / 2, 5), float32
+        The same, already divided; interpolated linearly.
+    least : float32
+        Measure from which a pixel stands for itself; below, the rest to this measure is filled.
+    """
+    height, width = coarse.shape[:2]
+    one, quarter = np.float32(1.0), np.float32(0.25)
+    for row in numba.prange(fine.shape[0]):
+        near_row = row // 2
+        next_row = min(max(near_row + (1 if row % 2 else -1), 0), height - 1)
+        for col in range(fine.shape[1]):
+            measure = fine[row, col, 4]
+            if measure >= least:
+                for c in range(5):
+                    fine[row, col, c] /= measure
+                continue
+            missing = one - measure / least
+            near_col = col // 2
+            next_col = min(max(near_col + (1 if col % 2 else -1), 0), width - 1)
+            for c in range(5):
+                near = coarse[near_row, near_col, c] + quarter * (
+                    coarse[near_row, next_col, c] - coarse[near_row, near_col, c]
+                )
+                far = coarse[next_row, near_col, c] + quarter * (
+                    coarse[next_row, next_col, c] - coarse[next_row, near_col, c]
+                )
+                fine[row, col, c] = fine[row, col, c] / least + missing * (near + quarter * (far - near))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def add_filled(image, filled, kind):
+    """Put a filled layer (H, W, 5) behind an image (H, W, 4), in place."""
+    for row in numba.prange(image.shape[0]):
+        for col in range(image.shape[1]):
+            each = filled[row, col]
+            alpha = min(max(each[3], np.float32(0.0)), np.float32(1.0))
+            _blend(image[row, col], each[0], each[1], each[2], alpha, kind == LAST)

@@ -1,0 +1,226 @@
+"""Compiled kernels of the depth layers: which pixel belongs where, and how much of a layer was seen."""
+
+import math
+
+import numba
+import numpy as np
+
+MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
+"""Columns of `layer_moments`."""
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def nearness_range(depth, label):
+    """Return the least and the largest ``-1 / depth`` of each row's drawn pixels, shape (H, 2), float64."""
+    bounds = np.empty((depth.shape[0], 2), np.float64)
+    for row in numba.prange(depth.shape[0]):
+        low, high = math.inf, -math.inf
+        for col in range(depth.shape[1]):
+            if label[row, col] >= 0:
+                nearness = -1.0 / np.float64(depth[row, col])
+                low, high = min(low, nearness), max(high, nearness)
+        bounds[row, 0] = low
+        bounds[row, 1] = high
+    return bounds
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def assign_layers(depth, first, scale, n_layers, softness, layer, farther):
+    """Find the layer of each pixel, and which share of it belongs to the next one.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W), float32
+        Metres.
+    first, scale : float
+        Layer i holds ``(-1 / depth - first) * scale`` from i to i + 1.
+    n_layers : int
+    softness : float
+        Width of the transition around a border, in layers, from 0 (hard) to 1.
+    layer : ndarray of shape (H, W), int32
+        Filled.
+    farther : ndarray of shape (H, W), float32
+        Filled: the share in ``layer + 1``.
+    """
+    for row in numba.prange(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            place = (-1.0 / np.float64(depth[row, col]) - first) * scale
+            place = min(max(place, 0.0), np.float64(n_layers))
+            border = math.floor(place + 0.5)
+            share = 0.0
+            if softness > 0.0 and 0 < border < n_layers:
+                share = min(max((place - border) / softness + 0.5, 0.0), 1.0)
+            if 0.0 < share < 1.0:
+                layer[row, col] = int(border) - 1
+                farther[row, col] = share
+            else:
+                layer[row, col] = min(int(place), n_layers - 1)
+                farther[row, col] = 0.0
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def layer_labels(variant, layer, farther, weight, n_variants, part, label, share):
+    """Combine variants and layers to labels ``layer * n_variants + variant``, and weights with shares.
+
+    Parameters
+    ----------
+    variant, layer : ndarray of shape (H, W), int32
+    farther : ndarray of shape (H, W), float32
+    weight : ndarray of shape (H, W) or (0, 0), float32
+        Weights of the pixels; empty if all are 1.
+    n_variants : int
+    part : int
+        0 for the nearer layer of each pixel, 1 for the farther one.
+    label : ndarray of shape (H, W), int32
+        Filled; -1 where the pixel has no such part.
+    share : ndarray of shape (H, W), float32
+        Filled.
+
+    Returns
+    -------
+    int
+        Number of pixels that have the part.
+    """
+    count = 0
+    for row in numba.prange(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            each = farther[row, col] if part else np.float32(1.0) - farther[row, col]
+            if weight.shape[0]:
+                each *= weight[row, col]
+            drawn = variant[row, col] >= 0 and each > 0
+            label[row, col] = (layer[row, col] + part) * n_variants + variant[row, col] if drawn else -1
+            share[row, col] = each
+            count += drawn
+    return count
+
+
+@numba.njit(cache=True, fastmath=False)
+def layer_moments(variant, layer, farther, coc, length, motion, n_layers):
+    """Sum, over the pixels of each layer, what `MOMENTS` names; shape (n_layers, 6), float64."""
+    total = np.zeros((n_layers, 6), np.float64)
+    for row in range(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            if variant[row, col] < 0:
+                continue
+            for part in range(2):
+                weight = np.float64(farther[row, col]) if part else 1.0 - np.float64(farther[row, col])
+                if weight > 0.0:
+                    each = total[layer[row, col] + part]
+                    c, s = np.float64(coc[row, col]), np.float64(length[row, col])
+                    each[0] += weight
+                    each[1] += weight * c
+                    each[2] += weight * c * c
+                    each[3] += weight * s * s
+                    each[4] += weight * motion[row, col, 0]
+                    each[5] += weight * motion[row, col, 1]
+    return total
+
+
+@numba.njit(cache=True, fastmath=False)
+def _share_before(layer, farther, number):
+    """Return the share of a pixel that belongs to layers before a number."""
+    if layer >= number:
+        return np.float32(0.0)
+    return np.float32(1.0) - farther if layer == number - 1 else np.float32(1.0)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def seen_share(variant, layer, farther, number, seen):
+    """Fill ``seen`` (H, W), float32, with the share of each pixel that no layer before a number hides."""
+    for row in numba.prange(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            hidden = np.float32(0.0)
+            if variant[row, col] >= 0:
+                hidden = _share_before(layer[row, col], farther[row, col], number)
+            seen[row, col] = np.float32(1.0) - hidden
+
+
+@numba.njit(cache=True, fastmath=False)
+def scatter_passing(variant, layer, farther, number, place, passing):
+    """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
+
+    Parameters
+    ----------
+    variant, layer, farther : ndarray of shape (H, W)
+        As for `layer_labels`.
+    number : int
+        The layer.
+    place : ndarray of shape (H, W, 2), float32
+        Position (x, y) at which each sample passes the layer, px.
+    passing : ndarray of shape (H, W), float32
+        Accumulated in place; what lies outside is dropped.
+    """
+    height, width = passing.shape
+    for row in range(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            weight = np.float32(1.0) - _share_before(layer[row, col], farther[row, col], number + 1)
+            if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
+                continue
+            x, y = place[row, col, 0], place[row, col, 1]
+            left, top = math.floor(x), math.floor(y)
+            if left < -1 or top < -1 or left >= width or top >= height:
+                continue
+            right_share, below_share = np.float32(x - left), np.float32(y - top)
+            for down in range(2):
+                for right in range(2):
+                    i, j = int(top) + down, int(left) + right
+                    if 0 <= i < height and 0 <= j < width:
+                        across = right_share if right else np.float32(1.0) - right_share
+                        along = below_share if down else np.float32(1.0) - below_share
+                        passing[i, j] += weight * across * along
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def _box_rows(image, half, repeat, out):
+    """Average each row over ``2 half + 1`` pixels; beyond the ends the last pixel repeats, or there is nothing."""
+    height, width = image.shape
+    scale = 1.0 / (2 * half + 1)
+    for row in numba.prange(height):
+        first = np.float64(image[row, 0]) if repeat else 0.0
+        last = np.float64(image[row, width - 1]) if repeat else 0.0
+        total = first * half
+        for col in range(half + 1):
+            total += image[row, col] if col < width else last
+        for col in range(width):
+            out[row, col] = total * scale
+            gone, come = col - half, col + half + 1
+            total += (image[row, come] if come < width else last) - (image[row, gone] if gone >= 0 else first)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def _box_columns(image, half, repeat, out):
+    """Do as `_box_rows` for columns, in stripes of neighbouring ones."""
+    height, width = image.shape
+    scale = 1.0 / (2 * half + 1)
+    stripe = 64
+    for number in numba.prange((width + stripe - 1) // stripe):
+        begin, end = number * stripe, min((number + 1) * stripe, width)
+        total = np.zeros(stripe, np.float64)
+        for row in range(-half, half + 1):
+            if repeat or 0 <= row < height:
+                clamped = min(max(row, 0), height - 1)
+                for col in range(begin, end):
+                    total[col - begin] += image[clamped, col]
+        for row in range(height):
+            gone, come = row - half, row + half + 1
+            for col in range(begin, end):
+                out[row, col] = total[col - begin] * scale
+            if repeat or come < height:
+                clamped = min(come, height - 1)
+                for col in range(begin, end):
+                    total[col - begin] += image[clamped, col]
+            if repeat or gone >= 0:
+                clamped = max(gone, 0)
+                for col in range(begin, end):
+                    total[col - begin] -= image[clamped, col]
+
+
+@numba.njit(cache=True, fastmath=False)
+def box_blur(image, half, repeat, spare):
+    """Blur an image (H, W), float32, in place by a box of ``2 half + 1`` px, twice; ``spare`` is of its shape.
+
+    Sums run in float64: what has been added cancels exactly for shares and counts.
+    """
+    for _ in range(2):
+        _box_rows(image, half, repeat, spare)
+        _box_columns(spare, half, repeat, image)

@@ -1,0 +1,126 @@
+"""Labelled pixels: what a frame or a buffer of samples gives to draw, as passes of one label for each pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from runtime import _plan_kernels
+from runtime.composite import NOTHING
+from spreadlets.camera import ThinLens
+from spreadlets.frame import Layer
+from spreadlets.labels import Labels, View
+from spreadlets.sample_buffer import SampleBuffer
+
+Image = npt.NDArray[np.float32]
+
+CHORD_TOLERANCE = 0.5
+"""Largest distance, px, of a curved path from the straight lines that it is drawn by."""
+MOST_SEGMENTS = 4
+"""Straight lines of a path at most; their distance falls with the square of their number."""
+
+
+class Pixels(NamedTuple):
+    """One label for each pixel.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+        Premultiplied colour, C-contiguous.
+    labels : Labels
+    weight : ndarray of shape (H, W) or (0, 0), float32
+        Share of the pixel that is drawn by this label; empty if it is the whole.
+    """
+
+    radiance: Image
+    labels: Labels
+    weight: Image = NOTHING
+
+
+def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
+    """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
+
+    Paths that are curved (the motion before the frame's time differs from that after it) become chords of the parabola
+    through the three positions, each with its share of the shutter.
+    """
+    straight = _straight_labels(layer, camera, defocus=defocus, motion=motion)
+    if not motion or layer.motion_prev is None or layer.motion_next is None or not camera.shutter_duration:
+        return [Pixels(layer.radiance, straight)]
+    segments = np.empty(layer.shape, np.int32)
+    _plan_kernels.count_segments(
+        layer.motion_prev, layer.motion_next, camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS, segments
+    )
+    largest = int(segments.max())
+    if largest == 1:
+        return [Pixels(layer.radiance, straight)]
+    passes = [Pixels(layer.radiance, straight, (segments == 1).astype(np.float32))]
+    for count in (2**power for power in range(1, largest.bit_length())):
+        weight = np.where(segments == count, np.float32(1 / count), np.float32(0))
+        if weight.any():
+            passes += [Pixels(layer.radiance, each, weight) for each in _chords(layer, camera, straight, count)]
+    return passes
+
+
+def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
+    height, width = layer.shape
+    coc, length = np.zeros((2, height, width), np.float32)
+    view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    if defocus:
+        _plan_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+    if not motion or not layer.has_motion:
+        return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None, view)
+    shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
+    path = layer.motion * np.float32(camera.shutter_duration)
+    _plan_kernels.path_lengths(path, length)
+    return Labels(coc, path, length, shift, view)
+
+
+def _chords(layer: Layer, camera: ThinLens, straight: Labels, count: int) -> Iterator[Labels]:
+    """Yield the labels of the chords between equal steps of the shutter's time."""
+    assert layer.motion_prev is not None and layer.motion_next is not None
+    acceleration = layer.motion_next - layer.motion_prev
+    times = np.linspace(*camera.shutter, count + 1)
+    places = [layer.motion * np.float32(time) + acceleration * np.float32(0.5 * time**2) for time in times]
+    for begin, end in zip(places[:-1], places[1:], strict=True):
+        path = end - begin
+        length = np.empty(layer.shape, np.float32)
+        _plan_kernels.path_lengths(path, length)
+        yield straight._replace(path=path, length=length, shift=np.float32(0.5) * (begin + end))
+
+
+def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
+    """Turn samples into labels, one pass for each sample of a pixel.
+
+    Splats are centred where the sample would lie without lens, at mid-shutter (LKS section 6.2, "Stochastic
+    frame-buffers"); an effect that is off has parameter 0 and is so undone.
+    """
+    passes = []
+    for number in range(samples.n_samples):
+        labels = _sample_labels(samples, camera, number)
+        if not defocus:
+            labels = labels._replace(coc=np.zeros_like(labels.coc))
+        if not motion:
+            labels = labels._replace(path=np.zeros_like(labels.path), length=np.zeros_like(labels.length))
+        passes.append(Pixels(np.ascontiguousarray(samples.radiance[:, :, number]), labels))
+    return passes
+
+
+def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labels:
+    height, width = samples.shape
+    depth = np.ascontiguousarray(samples.depth[:, :, number])
+    length = np.empty((height, width), np.float32)
+    if samples.coc_radius is None:
+        coc = np.empty((height, width), np.float32)
+        _plan_kernels.coc_radii(depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+    else:
+        coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
+    path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
+    _plan_kernels.path_lengths(path, length)
+    since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
+    shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
+    shift -= samples.motion[:, :, number] * since_centre[..., None]
+    view = View(depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    return Labels(coc, path, length, shift, view)

@@ -1,0 +1,151 @@
+"""How the coordinates of every PSF model follow from a pixel's labels: one entry for each axis and each direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.camera import ThinLens
+from spreadlets.psf_model import Angle, PsfModel
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class View(NamedTuple):
+    """What the place of a pixel in the image stands for.
+
+    Attributes
+    ----------
+    depth : ndarray of shape (H, W), float32
+        Planar depth, metres.
+    focal_length_px : float
+        Focal length in pixels: a pixel at this distance from the image's centre is seen at 45 degrees.
+    sensor_mm_per_px : float
+        Size of a pixel on the sensor.
+    """
+
+    depth: FloatArray
+    focal_length_px: float
+    sensor_mm_per_px: float
+
+    def position(self) -> FloatArray:
+        """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""
+        height, width = self.depth.shape
+        x, y = np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1)
+        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+
+    def image_height(self) -> FloatArray:
+        """Return the distance of each pixel from the image's centre, px, shape (H, W)."""
+        place = self.position()
+        return np.hypot(place[..., 0], place[..., 1])
+
+
+class Labels(NamedTuple):
+    """What the PSF of each pixel depends on.
+
+    Attributes
+    ----------
+    coc : ndarray of shape (H, W), float32
+        Signed radius of the circle of confusion, px.
+    path : ndarray of shape (H, W, 2), float32
+        Motion (dx, dy) over the shutter, px.
+    length : ndarray of shape (H, W), float32
+        Length of the path, px.
+    shift : ndarray of shape (H, W, 2), float32, or None
+        From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
+    view : View
+        The pixels' places in space.
+    """
+
+    coc: FloatArray
+    path: FloatArray
+    length: FloatArray
+    shift: FloatArray | None
+    view: View
+
+
+def _radius(labels: Labels) -> FloatArray:
+    return labels.coc
+
+
+def _path_length(labels: Labels) -> FloatArray:
+    return labels.length
+
+
+def _distance(labels: Labels) -> FloatArray:
+    """Distance along the ray: planar depth, lengthened towards the image's borders."""
+    slope = labels.view.image_height() / np.float32(labels.view.focal_length_px)
+    return np.asarray(labels.view.depth * np.hypot(np.float32(1.0), slope), np.float32)
+
+
+def _sensor_height(labels: Labels) -> FloatArray:
+    return labels.view.image_height() * np.float32(labels.view.sensor_mm_per_px)
+
+
+COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
+    "coc": _radius,
+    "motion": _path_length,
+    "depth": _radius,
+    "distance": _distance,
+    "eccentricity": _sensor_height,
+}
+"""The coordinate (H, W) on each axis, by its name, in the axis's unit; its sign has no meaning."""
+
+DIRECTIONS: dict[Angle, Callable[[Labels], FloatArray]] = {
+    "motion": lambda labels: labels.path,
+    "azimuth": lambda labels: labels.view.position(),
+}
+"""The vector (dx, dy) that gives a pixel's direction, shape (H, W, 2)."""
+
+EFFECTS: dict[str, tuple[Callable[[Labels], FloatArray], tuple[str, ...]]] = {
+    "coc": (_radius, ("coc", "depth")),
+    "motion": (_path_length, ("motion",)),
+}
+"""What a frame may ask for: its extent in px, and the axes of which one must be there to do it."""
+
+
+EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
+"""How much of a coordinate adds to the extent of the PSF, for models whose PSFs have no other extent."""
+
+
+def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:
+    """Return the coordinates (H, W) of each pixel on the axes of a model's parameter space; signs have no meaning."""
+    return tuple(COORDINATES[axis.name](labels) for axis in model.axes)
+
+
+def ignored_effects(labels: Labels, model: PsfModel) -> list[tuple[str, float]]:
+    """Return the effects that a model cannot show, each with the share of the pixels that asks for it."""
+    axes = {axis.name for axis in model.axes}
+    found = []
+    for name, (extent, shown_by) in sorted(EFFECTS.items()):
+        share = 0.0 if axes & set(shown_by) else np.count_nonzero(extent(labels)) / labels.coc.size
+        if share > 0:
+            found.append((name, share))
+    return found
+
+
+VIEW_TOLERANCE = 0.02
+"""Relative difference of a camera and the one that a database was built for that is not worth a word."""
+
+VIEW: dict[str, Callable[[ThinLens, int], float]] = {
+    "focal_length_mm": lambda camera, width: camera.focal_length_mm,
+    "sensor_width_mm": lambda camera, width: camera.sensor_width_mm,
+    "f_number": lambda camera, width: camera.f_number,
+    "focus_per_m": lambda camera, width: 1.0 / camera.focus_distance_m,
+    "width_px": lambda camera, width: float(width),
+    "focal_length_px": lambda camera, width: camera.focal_length_mm / camera.sensor_width_mm * width,
+}
+"""What the PSFs of some models depend on beside the labels, for a camera and an image's width in px."""
+
+
+def view_differences(model: PsfModel, camera: ThinLens, width: int) -> list[str]:
+    """Say in what a camera differs from the one that a model's PSFs were made for."""
+    found = []
+    for name, built in model.settings.get("view", {}).items():
+        given = VIEW[name](camera, width)
+        if abs(given - built) > VIEW_TOLERANCE * max(abs(given), abs(built)):
+            found.append(f"{name} is {given:.4g}, built for {built:.4g}")
+    return found
