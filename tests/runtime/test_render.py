@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from reference import capsule_psf, disc_coverage
 
-from runtime.render import synthesize
 from runtime.variant import scaled
 from spreadlets.api import synthesize as synthesize_any
 from spreadlets.camera import ThinLens
@@ -15,6 +14,13 @@ from spreadlets.frame import Frame
 from spreadlets.metrics import display_encode, psf_l1
 
 SIZE = 65
+
+
+def synthesize(*arguments, **options):
+    """Render and return the image and the report."""
+    return synthesize_any(*arguments, **options, report=True)
+
+
 CAMERA = ThinLens(
     focal_length_mm=50.0, sensor_width_mm=36.0, f_number=0.02, focus_distance_m=4.0, shutter=(-0.25, 0.25)
 )
