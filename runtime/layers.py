@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -118,21 +119,32 @@ def seen_share(members: Membership, number: int, moments: Moments) -> Image:
 def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:
     """Return the number of samples that passed a layer, blurred as the layer is, shape (H, W).
 
+    Beyond the frame's border the nearest samples repeat, as they do for splats.
+
     Parameters
     ----------
-    passes : sequence of (members, position, lens_uv, time)
-        The samples; where they were seen, (x, y), px; their places on the lens and in time.
+    passes : sequence of (members, offset, lens_uv, time)
+        The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time.
     number : int
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
     """
-    passing = np.zeros(passes[0][0].variant.shape, np.float32)
     motion = np.array(moments.motion, np.float32)
-    for members, position, lens_uv, time in passes:
-        place = position - np.float32(moments.coc) * lens_uv - motion * time[..., None]
-        _layer_kernels.scatter_passing(*members, number, place, passing)
+    moved = [
+        (members, offset - np.float32(moments.coc) * lens_uv - motion * time[..., None])
+        for members, offset, lens_uv, time in passes
+    ]
+    farthest = max(float(np.abs(offset).max()) for _, offset in moved)
+    padding = 2 * moments.box_half_width() + math.ceil(farthest) + 1
+    sides = ((padding, padding), (padding, padding))
+    height, width = passes[0][0].variant.shape
+    passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
+    grid = np.stack(np.meshgrid(np.arange(passing.shape[1]), np.arange(passing.shape[0])), axis=-1)
+    for members, offset in moved:
+        place = grid.astype(np.float32) + np.pad(offset, (*sides, (0, 0)), mode="edge")
+        _layer_kernels.scatter_passing(*(np.pad(each, sides, mode="edge") for each in members), number, place, passing)
     _blur(passing, moments, repeat=False)
-    return passing
+    return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
 
 
 def _blur(image: Image, moments: Moments, *, repeat: bool) -> None:

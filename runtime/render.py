@@ -239,7 +239,7 @@ def reconstruct(
     _warn_about_view(database, camera, samples.shape[1])
     with clock.step("plan"):
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
-        plan = plan_pixels(passes, database, options.settings(options.n_layers or layers.DEFAULT_LAYERS, border=False))
+        plan = plan_pixels(passes, database, options.settings(options.n_layers or layers.DEFAULT_LAYERS, border=True))
         view = _PassingSamples(samples, camera, passes, plan)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
@@ -296,9 +296,7 @@ class _PassingSamples:
         self.moments = layers.layer_moments(
             [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], plan.n_layers
         )
-        height, width = samples.shape
-        place = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
-        self.place, self.samples, self.camera = place, samples, camera
+        self.samples, self.camera = samples, camera
 
     def seen(self, number: int) -> Image | None:
         """Return the number of samples that passed a layer."""
@@ -309,7 +307,7 @@ class _PassingSamples:
         since_centre = samples.time - np.float32(self.camera.shutter_centre)
         return layers.passing_samples(
             [
-                (members, self.place + samples.offset[:, :, i], samples.lens_uv[:, :, i], since_centre[:, :, i])
+                (members, samples.offset[:, :, i], samples.lens_uv[:, :, i], since_centre[:, :, i])
                 for i, members in enumerate(self.members)
             ],
             number,
