@@ -142,7 +142,8 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     grid = np.stack(np.meshgrid(np.arange(passing.shape[1]), np.arange(passing.shape[0])), axis=-1)
     for members, offset in moved:
         place = grid.astype(np.float32) + np.pad(offset, (*sides, (0, 0)), mode="edge")
-        _layer_kernels.scatter_passing(*(np.pad(each, sides, mode="edge") for each in members), number, place, passing)
+        variant, layer, farther = (np.pad(each, sides, mode="edge") for each in members)
+        _layer_kernels.scatter_passing(variant, layer, farther, number, place, passing)
     _blur(passing, moments, repeat=False)
     return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
 

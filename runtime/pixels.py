@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from runtime import _plan_kernels
 from runtime.composite import NOTHING
+from runtime.depth_edges import split_depth_edges
 from spreadlets.camera import ThinLens
 from spreadlets.frame import Layer
 from spreadlets.labels import Labels, View
@@ -43,25 +44,40 @@ class Pixels(NamedTuple):
 def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
-    Paths that are curved (the motion before the frame's time differs from that after it) become chords of the parabola
-    through the three positions, each with its share of the shutter.
+    Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.depth_edges`. Paths that are
+    curved (the motion before the frame's time differs from that after it) become chords of the parabola through the
+    three positions, each with its share of the shutter.
     """
-    straight = _straight_labels(layer, camera, defocus=defocus, motion=motion)
+    passes = []
+    for surface, share in split_depth_edges(layer, camera):
+        straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
+        for labels, weight in _along_paths(surface, camera, straight, motion):
+            weights = [each for each in (share, weight) if each is not None]
+            passes.append(Pixels(layer.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
+    return passes
+
+
+def _along_paths(
+    layer: Layer, camera: ThinLens, straight: Labels, motion: bool
+) -> Iterator[tuple[Labels, Image | None]]:
+    """Yield the labels of straight paths and of the chords of curved ones, with the share of each pixel."""
     if not motion or layer.motion_prev is None or layer.motion_next is None or not camera.shutter_duration:
-        return [Pixels(layer.radiance, straight)]
+        yield straight, None
+        return
     segments = np.empty(layer.shape, np.int32)
     _plan_kernels.count_segments(
         layer.motion_prev, layer.motion_next, camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS, segments
     )
     largest = int(segments.max())
     if largest == 1:
-        return [Pixels(layer.radiance, straight)]
-    passes = [Pixels(layer.radiance, straight, (segments == 1).astype(np.float32))]
+        yield straight, None
+        return
+    yield straight, (segments == 1).astype(np.float32)
     for count in (2**power for power in range(1, largest.bit_length())):
         weight = np.where(segments == count, np.float32(1 / count), np.float32(0))
         if weight.any():
-            passes += [Pixels(layer.radiance, each, weight) for each in _chords(layer, camera, straight, count)]
-    return passes
+            for chord in _chords(layer, camera, straight, count):
+                yield chord, weight
 
 
 def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:

@@ -311,7 +311,8 @@ def _left_out(plan: Plan, labels: Sequence[Labels], variants: list[Variant]) -> 
     skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
         "motion": not any(each.length.any() for each in labels),
-        "curved motion": len(labels) == 1,
+        "curved motion": not any(each.shift is not None for each in labels[1:]),
+        "blended depths": all(each.view.depth is labels[0].view.depth for each in labels),
         "defocus": not any(each.coc.any() for each in labels),
         "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),

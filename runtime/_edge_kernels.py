@@ -1,0 +1,78 @@
+"""Compiled kernel that finds pixels whose depth is a blend of two surfaces."""
+
+import math
+
+import numba
+
+STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
+    """Find the surfaces on either side of a pixel, and return the share of the nearer one: 0 if there are none."""
+    share = 0.0
+    best = 0.0
+    for down, right in STEPS:
+        i, j = row - down, col - right
+        k, m = row + down, col + right
+        if depth[i, j] > depth[k, m]:
+            i, j, k, m = k, m, i, j
+        here, front, back = float(depth[row, col]), float(depth[i, j]), float(depth[k, m])
+        if not (front < here < back < math.inf) or radiance[i, j, 3] == 0 or radiance[k, m, 3] == 0:
+            continue
+        gap = scale * (1.0 / front - 1.0 / back)
+        if gap < least_gap or gap <= best:
+            continue
+        off_front = scale * abs(1.0 / front - 1.0 / float(depth[2 * i - row, 2 * j - col]))
+        off_back = scale * abs(1.0 / back - 1.0 / float(depth[2 * k - row, 2 * m - col]))
+        if off_front > flatness * gap or off_back > flatness * gap:
+            continue
+        best = gap
+        near[0], near[1] = i, j
+        far[0], far[1] = k, m
+        share = (back - here) / (back - front)
+    return share
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
+    """Find the pixels between two surfaces whose depth lies between them, as antialiasing leaves it.
+
+    Along one of four lines through the pixel, the neighbours on either side lie on different surfaces, and each is as
+    deep as its own next neighbour: a slanted surface or a thin object is not taken for an edge.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W), float32
+    radiance : ndarray of shape (H, W, 4), float32
+        Pixels without alpha are no surface.
+    scale : float
+        CoC radius is ``scale * (1 / focus - 1 / depth)``, px.
+    least_gap : float
+        Smallest difference of the surfaces' CoC radii, px.
+    flatness : float
+        Largest difference of a neighbour's CoC radius from that of its next, as a share of the gap.
+    near, far : ndarray of shape (H, W, 2), int32
+        Filled with row and column of the neighbours; those of the pixel itself where it is no blend.
+    share : ndarray of shape (H, W), float32
+        Filled with the share of the nearer surface; 0 where the pixel is no blend.
+
+    Returns
+    -------
+    int
+        Number of blends.
+    """
+    height, width = depth.shape
+    count = 0
+    for row in numba.prange(height):
+        for col in range(width):
+            near[row, col, 0], near[row, col, 1] = row, col
+            far[row, col, 0], far[row, col, 1] = row, col
+            share[row, col] = 0.0
+            if not (2 <= row < height - 2 and 2 <= col < width - 2):
+                continue
+            share[row, col] = _blend_at(
+                depth, radiance, scale, least_gap, flatness, row, col, near[row, col], far[row, col]
+            )
+            count += share[row, col] > 0
+    return count

@@ -1,0 +1,61 @@
+"""Antialiased depth: a pixel whose depth is a blend of two surfaces lies at neither; it is given back to both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from runtime import _edge_kernels
+from spreadlets.camera import ThinLens
+from spreadlets.frame import Layer
+
+Image = npt.NDArray[np.float32]
+
+LEAST_GAP = 1.0
+"""Difference of CoC radii, px, from which two surfaces are worth telling apart."""
+FLATNESS = 0.2
+"""A surface's own change of CoC over a pixel, as a share of the gap: on a slanted surface it would be a half."""
+
+
+def split_depth_edges(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Image | None]]:
+    """Yield layers of the same colours whose labels are those of real surfaces, with the share of each pixel.
+
+    Parameters
+    ----------
+    layer : Layer
+        Its depth may be antialiased.
+    camera : ThinLens
+        Depths are compared by their CoC.
+
+    Yields
+    ------
+    layer : Layer
+        The layer itself, if no pixel is a blend; else one with the farther and one with the nearer surfaces.
+    share : ndarray of shape (H, W), float32, or None
+        Weight of each pixel; None if all are 1.
+    """
+    height, width = layer.shape
+    near, far = np.empty((2, height, width, 2), np.int32)
+    share = np.empty((height, width), np.float32)
+    scale = camera.coc_scale(width)
+    if not _edge_kernels.find_blends(layer.depth, layer.radiance, scale, LEAST_GAP, FLATNESS, near, far, share):
+        yield layer, None
+        return
+    yield _relabelled(layer, far), np.float32(1) - share
+    yield _relabelled(layer, near), share
+
+
+def _relabelled(layer: Layer, place: npt.NDArray[np.int32]) -> Layer:
+    """Return the layer with each pixel's labels taken from a given place (row, col)."""
+    rows, cols = place[..., 0], place[..., 1]
+    before, after = layer.motion_prev, layer.motion_next
+    return replace(
+        layer,
+        depth=layer.depth[rows, cols],
+        motion=layer.motion[rows, cols],
+        motion_prev=None if before is None else before[rows, cols],
+        motion_next=None if after is None else after[rows, cols],
+    )
