@@ -58,6 +58,10 @@ THIN_RADIUS = 4.5
 DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
+DIRECT_BITS = 13
+"""Direct values are rounded to the peak's power of two divided by 2 to this power: a third of the file is saved, and
+no display shows more than 12 bits."""
+
 
 def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Result:
     """Turn a dense PSF into a spreadlet.
@@ -142,8 +146,32 @@ def _direct_spreadlet(psf: FloatArray, threshold: float) -> Spreadlet:
     value = psf[pixel[:, 0], pixel[:, 1]]
     sums = value.sum(axis=0)
     value = value * np.divide(psf.sum(axis=(0, 1)), sums, out=np.zeros_like(sums), where=sums > 0)
-    half = np.asarray(psf.shape[:2]) // 2
-    return Spreadlet((pixel - half).astype(np.int16), value.astype(np.float32), direct=True)
+    offset = pixel - np.asarray(psf.shape[:2]) // 2
+    return Spreadlet(offset.astype(np.int16), round_direct(offset, value), direct=True)
+
+
+def round_direct(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float32]:
+    """Round pixels to few bits, which compress well, keeping each channel's sum.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n, 2), int64
+        Offsets from the centre, in the order in which each pixel's rounding error passes on to the next: a plateau
+        keeps its mean.
+    value : ndarray of shape (n, C), float64
+        Non-negative values.
+
+    Returns
+    -------
+    ndarray of shape (n, C), float32
+        Multiples of a power of two per channel, less than one of them from ``value``; the pixel nearest to the centre
+        takes up the rest of the sum, less than half of one.
+    """
+    step = np.exp2(np.ceil(np.log2(np.maximum(value.max(axis=0), np.finfo(np.float32).tiny))) - DIRECT_BITS)
+    total = np.cumsum(value, axis=0)
+    rounded = np.diff(np.rint(total / step), axis=0, prepend=0.0) * step
+    rounded[np.argmin((offset_rc**2).sum(axis=1))] += total[-1] - rounded.sum(axis=0)
+    return rounded.astype(np.float32)
 
 
 def _sparse_spreadlet(psf: FloatArray, price: float, limit: float, seed: int) -> Spreadlet:

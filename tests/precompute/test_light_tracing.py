@@ -7,7 +7,7 @@ from precompute._tracing_kernels import deposit_segments
 from precompute.light_tracing import trace_psf
 from precompute.line_sample import lens_chords, tent
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf_model import DIRECTION_STEP_PX, PsfGrid, PsfModel, get_model
+from spreadlets.psf_model import DIRECTION_STEP_COC_PX, DIRECTION_STEP_PX, PsfGrid, PsfModel, get_model
 
 SIMPLE, COMBINED = get_model("simplelens"), get_model("combined")
 
@@ -141,14 +141,15 @@ def test_motion_to_the_right_and_down_fills_that_diagonal():
 def test_folded_direction_reproduces_the_psf(angle):
     grid = PsfGrid.of(COMBINED)
     cell = int(grid.find([6.0, 40.0]))
+    step = DIRECTION_STEP_PX * (1 + grid.box(cell)[0, 1] / DIRECTION_STEP_COC_PX)
     index, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle)
     psf = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), direction=grid.directions(cell)[index])
     psf = psf.swapaxes(0, 1) if transpose else psf
     psf = psf[::-1] if flip_row else psf
     psf = psf[:, ::-1] if flip_col else psf
     wanted = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), direction=angle)
-    # The nearest node is off by up to a quarter px at the tip on average, over an edge of 1 / 6 of the area per px.
-    assert relative_l1(psf, on_canvas(wanted, (61, 61))) < 0.06 * DIRECTION_STEP_PX
+    # The nearest node is off by a quarter step along the path on average, over an edge of 1 / 6 of the area per px.
+    assert relative_l1(psf, on_canvas(wanted, (61, 61))) < 0.06 * step
 
 
 def random_segments(n, n_channels, rng):
