@@ -30,7 +30,7 @@ from spreadlets.psf_model import PsfModel
 FloatArray = npt.NDArray[np.float64]
 
 RAYS_PER_PIXEL = 1024
-"""Default point-equivalent deposits per pixel of the PSF's square."""
+"""Default point-equivalent deposits per pixel of the smallest box along the motion that holds the PSF."""
 
 MIN_RAYS = 1 << 17
 """Smallest default: in a PSF of few pixels, nearly all of them lie on the edge."""
@@ -104,7 +104,7 @@ def trace_psf(
         Half-width of the tent over the direction, radians; 0 for no filter.
     rays : int, optional
         Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default `RAYS_PER_PIXEL` for
-        each pixel of the PSF's square, and at least `MIN_RAYS`.
+        each pixel of the smallest box along the motion that holds the PSF, and at least `MIN_RAYS`.
     seed : int
         Of the shift of the low-discrepancy points.
 
@@ -126,9 +126,7 @@ def trace_psf(
     ranges = _checked_box(model, box)
     tracer = TRACERS[model.name]
     half = math.ceil(tracer.reach(ranges) + 0.5)
-    if rays is None:
-        rays = max(MIN_RAYS, RAYS_PER_PIXEL * (2 * half + 1) ** 2)
-    if rays < 1:
+    if rays is not None and rays < 1:
         raise InvalidParameterError(f"rays must be at least 1, not {rays}")
 
     def make_segments(first: int, total: int) -> Segments:
@@ -136,7 +134,8 @@ def trace_psf(
         return tracer.trace(points, ranges, direction, direction_half_width)
 
     shift = np.random.default_rng(seed).random(tracer.n_dimensions)
-    n_points = math.ceil(rays * PILOT_POINTS / _cost(make_segments(0, PILOT_POINTS)))
+    pilot = make_segments(0, PILOT_POINTS)
+    n_points = math.ceil((rays or _default_rays(pilot, direction)) * PILOT_POINTS / _cost(pilot))
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, model.n_channels))
     for first in range(0, n_points, CHUNK):
         deposit_segments(*make_segments(first, n_points), images)
@@ -168,6 +167,14 @@ def _generators(n: int) -> FloatArray:
     for _ in range(64):
         ratio = (1.0 + ratio) ** (1.0 / (n + 1))
     return np.asarray(ratio ** -np.arange(1.0, n + 1.0), dtype=np.float64)
+
+
+def _default_rays(segments: Segments, direction: float) -> int:
+    """Return the default work for a PSF of which these segments are a sample."""
+    along = np.array([math.cos(direction), math.sin(direction)])
+    ends = segments.ends.reshape(-1, 2)
+    length, width = (np.ptp(ends @ axis) + 3.0 for axis in (along, np.array([-along[1], along[0]])))
+    return max(MIN_RAYS, math.ceil(RAYS_PER_PIXEL * length * width))
 
 
 def _cost(segments: Segments) -> float:

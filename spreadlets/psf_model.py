@@ -16,13 +16,16 @@ from spreadlets._kernels import cell_indices, fold_directions, grid_coordinates
 from spreadlets.errors import InvalidParameterError
 from spreadlets.grid import NestedGrid, as_coordinates, nested_shape
 
-DIRECTION_STEP_PX = 0.45
+DIRECTION_STEP_PX = 1.0 / 3.0
 """Travel of the tip of a line without width between two neighbouring directions, px: no direction is off by more than
 half of it."""
 
-DIRECTION_STEP_COC_PX = 6.0
-"""A CoC radius, px, of this many times n allows 1 + n such steps at once: the softer the turn's edge to the PSF's width.
-With both, turning a PSF to midway between two directions costs between 0.01 and 0.02 of similarity, whatever its size."""
+DIRECTION_STEP_COC_PX = 2.4
+"""CoC radius, px, that allows one more such step at once, the smallest of the cell counting: a wide PSF hides a turn."""
+
+MAX_DIRECTION_STEPS = 16.0
+"""Steps at once that no CoC exceeds. With these three, turning a PSF to midway between two directions costs between
+0.01 and 0.02 of similarity in any cell of motion longer than the CoC."""
 
 STILL_MOTION_PX = 1.0
 """A path no longer than a pixel, px, looks the same in every direction."""
@@ -151,7 +154,7 @@ class PsfGrid:
     shape : tuple of int
         Sides of the nested grid, one per axis of the model.
     direction_step_px : float
-        Travel of the motion path's tip between neighbouring directions, px, where the CoC is small.
+        Travel of the motion path's tip between neighbouring directions, px, where the CoC is 0.
 
     Raises
     ------
@@ -226,12 +229,13 @@ class PsfGrid:
 
         A path of length l turning by d moves its tip by d l / 2, so neighbouring nodes are at most ``2 step / l``
         apart, l being the longest path of the cell. The step is `direction_step_px` for a line, and grows with the
-        CoC radius by as much again every `DIRECTION_STEP_COC_PX`.
+        smallest CoC radius of the cell by as much again every `DIRECTION_STEP_COC_PX`, `MAX_DIRECTION_STEPS` at most.
         """
         if not self.model.has_direction:
             return np.ones(self.n_cells, dtype=np.int64)
         longest = self.boxes[:, -1, 1]
-        step = self.direction_step_px * (1.0 + self.boxes[:, 0, 1] / DIRECTION_STEP_COC_PX)
+        n_steps = np.minimum(1.0 + self.boxes[:, 0, 0] / DIRECTION_STEP_COC_PX, MAX_DIRECTION_STEPS)
+        step = self.direction_step_px * n_steps
         steps = np.ceil(OCTANT * longest / (2.0 * step))
         return np.where(longest > STILL_MOTION_PX, steps + 1.0, 1.0).astype(np.int64)
 

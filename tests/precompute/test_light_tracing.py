@@ -7,7 +7,7 @@ from precompute._tracing_kernels import deposit_segments
 from precompute.light_tracing import trace_psf
 from precompute.line_sample import lens_chords, tent
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf_model import DIRECTION_STEP_COC_PX, DIRECTION_STEP_PX, PsfGrid, PsfModel, get_model
+from spreadlets.psf_model import PsfGrid, PsfModel, get_model
 
 SIMPLE, COMBINED = get_model("simplelens"), get_model("combined")
 
@@ -141,7 +141,7 @@ def test_motion_to_the_right_and_down_fills_that_diagonal():
 def test_folded_direction_reproduces_the_psf(angle):
     grid = PsfGrid.of(COMBINED)
     cell = int(grid.find([6.0, 40.0]))
-    step = DIRECTION_STEP_PX * (1 + grid.box(cell)[0, 1] / DIRECTION_STEP_COC_PX)
+    step = grid.direction_half_width(cell) * grid.coordinate(cell)[1] / 2
     index, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle)
     psf = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), direction=grid.directions(cell)[index])
     psf = psf.swapaxes(0, 1) if transpose else psf

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf_model import DIRECTION_STEP_COC_PX, DIRECTION_STEP_PX, OCTANT, Axis, PsfGrid, PsfModel, get_model
+from spreadlets.psf_model import DIRECTION_STEP_PX, OCTANT, Axis, PsfGrid, PsfModel, get_model
 
 COMBINED = PsfGrid.of(get_model("combined"))
 
@@ -84,7 +84,7 @@ def test_directions_keep_the_tip_within_half_a_step(step_px):
             continue
         assert nodes[0] == 0.0 and nodes[-1] == OCTANT
         np.testing.assert_allclose(np.diff(nodes), grid.direction_half_width(cell))
-        step = step_px * (1 + grid.box(cell)[0, 1] / DIRECTION_STEP_COC_PX)
+        step = step_px * min(1 + grid.box(cell)[0, 0] / 2.4, 16)
         assert grid.direction_half_width(cell) / 2 * longest / 2 <= step / 2 * (1 + 1e-12)
         assert grid.direction_half_width(cell) * longest / 2 >= step * (1 - 1 / (len(nodes) - 1)) * 0.99
 
