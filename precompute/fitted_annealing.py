@@ -1,8 +1,8 @@
 """Simulated annealing of the points' positions, judged by the error that the constrained fit would leave.
 
-Of n points, k proposed moves change the fit's equations by a matrix of rank 2 k. With the inverse of the equations at
-hand, dropping k points costs ``v' S^-1 v``, v being their values and S their block of the inverse, and k new points gain
-``r' Z^-1 r``, r being what is left of their equations and Z the Schur complement: O(k n^2) operations for each proposal.
+The move of one of n points changes the fit's equations by a matrix of rank 2. With the inverse S of the equations at
+hand, dropping point j costs ``v_j^2 / S_jj``, v being the values, and the new point gains ``r^2 / z``, r being what is
+left of its equation and z the Schur complement: O(n^2) operations for each proposal.
 """
 
 from __future__ import annotations
@@ -22,8 +22,11 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 INITIAL_TEMPERATURE = 1e-4
-REFRESH_STEPS = 32
-"""Accepted proposals after which the inverse is computed anew: updates accumulate rounding."""
+"""Relative rise of the root of the squared error that is accepted with probability 1/e at first; it falls linearly to
+zero. A move of one point changes the error that much less than under Voronoi sums, as all values answer to it."""
+
+REFRESH_MOVES = 64
+"""Moves after which the inverse is computed anew: updates accumulate rounding."""
 
 
 class Field(NamedTuple):
@@ -42,15 +45,27 @@ class Field(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The best values of some points."""
+    """The best values of some points; `_move` updates the arrays in place."""
 
     point_rc: IntArray
     inverse: FloatArray
     """Inverse of the equations of values and Lagrange multipliers, shape (n + 6, n + 6)."""
     solution: FloatArray
     """Values, then multipliers, shape (n + 6, C)."""
-    error: float
-    """Squared error over the plane, summed over the channels."""
+
+
+class Proposal(NamedTuple):
+    """The move of one point, and what the fit becomes."""
+
+    point: int
+    target: IntArray
+    column: FloatArray
+    """The inverse's answer to the new point's equation once the old one is gone, -1 at the point itself."""
+    schur: float
+    residual: FloatArray
+    """What is left of the new point's equation, shape (C,)."""
+    rise: float
+    """Of the squared error over the plane, summed over the channels."""
 
 
 def anneal_fitted(
@@ -83,33 +98,30 @@ def anneal_fitted(
 
     Notes
     -----
-    The schedule is that of LKS section 5.5, save that no point moves onto another; temperatures are relative to the root
-    of the squared error.
+    The schedule is that of LKS section 5.5, save that no point moves onto another and that each move of a step is
+    judged by itself.
     """
     field = _field(psf)
     points = merge(point_rc)
     ridge = _ridge(field, points)
-    fit = best = _fitted(field, points, ridge)
-    n_accepted = 0
+    fit, error = _fitted(field, points, ridge)
+    best, least = points, error
+    n_moves = 0
     for step in range(n_steps):
-        index, target = _moves(fit.point_rc, psf.shape, rng)
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
-        if len(index) == 0:
-            continue
-        trial = _moved(field, fit, index, target, ridge)
-        if not _accepted(trial.error, fit.error, temperature, rng):
-            continue
-        n_accepted += 1
-        fit = trial if n_accepted % REFRESH_STEPS else _fitted(field, trial.point_rc, ridge)
-        if fit.error < best.error:
-            best = fit
-    points = merge(best.point_rc)
-    return points, _fitted(field, points, ridge).error
-
-
-def _accepted(new: float, old: float, temperature: float, rng: np.random.Generator) -> bool:
-    rise = np.sqrt(max(new, 0.0) / max(old, np.finfo(np.float64).tiny)) - 1.0
-    return bool(rise < 0.0 or rng.random() < np.exp(-rise / temperature))
+        for index, target in _moves(fit.point_rc, psf.shape, rng):
+            proposal = _judged(field, fit, index, target, ridge)
+            if proposal.rise >= 0.0 and rng.random() >= np.exp(-proposal.rise / (2.0 * temperature * error)):
+                continue
+            _move(fit, proposal)
+            error += proposal.rise
+            n_moves += 1
+            if n_moves % REFRESH_MOVES == 0:
+                fit, error = _fitted(field, fit.point_rc, ridge)
+        if error < least:
+            best, least = fit.point_rc.copy(), error
+    points = merge(best)
+    return points, _fitted(field, points, ridge)[1]
 
 
 def _field(psf: FloatArray) -> Field:
@@ -132,8 +144,8 @@ def _ridge(field: Field, points: IntArray) -> float:
     return RIDGE * float(np.trace(project(_gram(field, points, points), basis))) / len(points)
 
 
-def _fitted(field: Field, points: IntArray, ridge: float) -> Fit:
-    """Solve the equations of some points from scratch."""
+def _fitted(field: Field, points: IntArray, ridge: float) -> tuple[Fit, float]:
+    """Solve the equations of some points from scratch; return the fit and its squared error."""
     moments = field.moments[points[:, 0], points[:, 1]]
     gram = _gram(field, points, points) + ridge * np.eye(len(points))
     matrix = np.block([[gram, moments], [moments.T, np.zeros((moments.shape[1],) * 2)]])
@@ -146,47 +158,48 @@ def _fitted(field: Field, points: IntArray, ridge: float) -> Fit:
     rhs = np.concatenate([field.potential[points[:, 0], points[:, 1]], field.fixed])
     solution = inverse @ rhs
     # At the minimum v'Av - 2 b'v = -b'v - q'l, l being the multipliers with A v + M l = b.
-    return Fit(points, inverse, solution, field.energy - float((rhs * solution).sum()))
+    error = field.energy - float((rhs * solution).sum())
+    return Fit(points.copy(), 0.5 * (inverse + inverse.T), solution), error
 
 
-def _moves(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) -> tuple[IntArray, IntArray]:
-    """Propose moves by at most a pixel, but none onto another point: return who moves (k,), and where to (k, 2)."""
+def _moves(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) -> list[tuple[int, IntArray]]:
+    """Propose moves of a few points by at most a pixel, none onto another point: who moves, and where to."""
     moved = propose(points, shape, rng)
-    changed = np.flatnonzero((moved != points).any(axis=1))
     occupied = {tuple(point) for point in points.tolist()}
-    kept = []
-    for index in changed.tolist():
+    moves = []
+    for index in np.flatnonzero((moved != points).any(axis=1)).tolist():
         target = tuple(moved[index].tolist())
         if target not in occupied:
             occupied.add(target)
-            kept.append(index)
-    return np.array(kept, dtype=np.int64), moved[kept]
+            moves.append((index, moved[index]))
+    return moves
 
 
-def _moved(field: Field, fit: Fit, index: IntArray, target: IntArray, ridge: float) -> Fit:
-    """Return the fit after some of the points have moved to free pixels."""
-    # Step 1: without these points. Their rows and columns of the inverse vanish.
-    block = fit.inverse[:, index]
-    spread = 0.5 * (block[index] + block[index].T)
-    lifted = np.linalg.solve(spread, block.T)
+def _judged(field: Field, fit: Fit, index: int, target: IntArray, ridge: float) -> Proposal:
+    """Return what moving one point to a free pixel does to the fit."""
+    old = fit.inverse[index] / fit.inverse[index, index]
     value = fit.solution[index]
-    inverse = fit.inverse - block @ lifted
-    inverse[index] = 0.0
-    inverse[:, index] = 0.0
-    solution = fit.solution - lifted.T @ value
-    solution[index] = 0.0
-    error = fit.error + float((value * np.linalg.solve(spread, value)).sum())
-    # Step 2: with points at the targets, in their places.
-    column = np.concatenate([_gram(field, fit.point_rc, target), field.moments[target[:, 0], target[:, 1]].T])
-    column[index] = 0.0
-    answer = inverse @ column
-    schur = _gram(field, target, target) + ridge * np.eye(len(target)) - column.T @ answer
-    residual = field.potential[target[:, 0], target[:, 1]] - column.T @ solution
-    answer[index] = -np.eye(len(index))
-    inverse += answer @ np.linalg.solve(schur, answer.T)
-    # Rounding that is not symmetric grows exponentially with the moves.
-    inverse = 0.5 * (inverse + inverse.T)
-    value = np.linalg.solve(schur, residual)
-    points = fit.point_rc.copy()
-    points[index] = target
-    return Fit(points, inverse, solution - answer @ value, error - float((residual * value).sum()))
+    # Step 1: without the old point.
+    rise = float(value @ value) / fit.inverse[index, index]
+    equation = np.concatenate([_gram(field, fit.point_rc, target[None])[:, 0], field.moments[tuple(target)]])
+    equation[index] = 0.0
+    answer = fit.inverse @ equation
+    answer -= fit.inverse[index] * (old @ equation)
+    # Step 2: with the new one.
+    schur = ridge - float(equation @ answer)
+    residual = field.potential[tuple(target)] - equation @ (fit.solution - np.outer(old, value))
+    answer[index] = -1.0
+    return Proposal(index, target, answer, schur, residual, rise - float(residual @ residual) / schur)
+
+
+def _move(fit: Fit, proposal: Proposal) -> None:
+    """Move a point: two updates of rank one, the first of which takes the old point out."""
+    index, column = proposal.point, proposal.column
+    old, spread = fit.inverse[index].copy(), fit.inverse[index, index]
+    fit.solution[:] -= np.outer(old / spread, fit.solution[index])
+    fit.inverse[:] -= np.outer(old / spread, old)
+    fit.inverse[index] = fit.inverse[:, index] = 0.0
+    fit.solution[index] = 0.0
+    fit.solution[:] -= np.outer(column, proposal.residual / proposal.schur)
+    fit.inverse[:] += np.outer(column / proposal.schur, column)
+    fit.point_rc[index] = proposal.target

@@ -174,7 +174,7 @@ def _default_rays(segments: Segments, direction: float) -> int:
     along = np.array([math.cos(direction), math.sin(direction)])
     ends = segments.ends.reshape(-1, 2)
     length, width = (np.ptp(ends @ axis) + 3.0 for axis in (along, np.array([-along[1], along[0]])))
-    return max(MIN_RAYS, math.ceil(RAYS_PER_PIXEL * length * width))
+    return max(MIN_RAYS, math.ceil(RAYS_PER_PIXEL * float(length * width)))
 
 
 def _cost(segments: Segments) -> float:

@@ -52,7 +52,7 @@ ROUNDING = 1e-9
 DIRECT_COST = 0.45
 """Price of a pixel that is drawn directly, relative to a point of the Laplacian: neighbours are drawn in one run."""
 
-THIN_RADIUS = 4.0
+THIN_RADIUS = 3.5
 """PSFs no wider than a disc of this radius, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
 DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
@@ -181,7 +181,7 @@ def round_direct(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float
     total = np.cumsum(value, axis=0)
     rounded = np.diff(np.rint(total / step), axis=0, prepend=0.0) * step
     rounded[np.argmin((offset_rc**2).sum(axis=1))] += total[-1] - rounded.sum(axis=0)
-    return rounded.astype(np.float32)
+    return np.asarray(rounded, dtype=np.float32)
 
 
 def _sparse_spreadlet(psf: FloatArray, price: float, limit: float, seed: int) -> Spreadlet:

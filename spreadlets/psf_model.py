@@ -21,7 +21,7 @@ DIRECTION_STEP_PX = 1.0 / 3.0
 half of it."""
 
 DIRECTION_STEP_COC_PX = 2.4
-"""CoC radius, px, that allows one more such step at once, the smallest of the cell counting: a wide PSF hides a turn."""
+"""CoC radius, px, that allows one more such step at once, the smallest of a cell counting: width hides a turn."""
 
 MAX_DIRECTION_STEPS = 16.0
 """Steps at once that no CoC exceeds. With these three, turning a PSF to midway between two directions costs between
