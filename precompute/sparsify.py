@@ -34,8 +34,10 @@ mean of the other."""
 PRICE_EXPONENT = 3.0
 """The price falls with this power of the density, so that twice the density about doubles the points."""
 
-WORST_LOSS = 0.03
-"""Loss of similarity, at density 1, beyond which no point is dropped at any price; it falls with the density's root."""
+WORST_LOSS = 0.024
+"""Loss of similarity, at density 1, beyond which no point is dropped at any price; it falls with the density's root.
+It bounds the step in quality where neighbouring directions of a cell fall to either side of the choice between points
+and pixels."""
 
 SMOOTHING = 1.0
 """Standard deviation, px, that keeps the tracing's noise out of the candidates."""
@@ -49,7 +51,7 @@ MAX_ORBITS = 800
 ROUNDING = 1e-9
 """Negative values up to this fraction of the peak count as zero."""
 
-DIRECT_COST = 0.45
+DIRECT_COST = 0.5
 """Price of a pixel that is drawn directly, relative to a point of the Laplacian: neighbours are drawn in one run."""
 
 THIN_RADIUS = 3.5
