@@ -24,8 +24,8 @@ DIRECTION_STEP_COC_PX = 2.4
 """CoC radius, px, that allows one more such step at once, the smallest of a cell counting: width hides a turn."""
 
 MAX_DIRECTION_STEPS = 16.0
-"""Steps at once that no CoC exceeds. With these three, turning a PSF to midway between two directions costs between
-0.01 and 0.02 of similarity in any cell of motion longer than the CoC."""
+"""Steps at once that no CoC exceeds. With these three, a PSF midway between two directions, measured in 24 cells of all
+sizes, loses 0.016 of similarity at its worst angle as a rule, and up to 0.03 at a few angles of the sharpest lines."""
 
 STILL_MOTION_PX = 1.0
 """A path no longer than a pixel, px, looks the same in every direction."""
