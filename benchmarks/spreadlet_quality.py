@@ -571,7 +571,7 @@ def shapes(effort: Effort, folder: Path) -> list[Row]:
             points = ", ".join(f"{s:.3f} at {100 * x:.2g} %" for x, s in shown)
             rows.append(Row(f"{label}: similarity at sparsity", "curve", "curve", points))
         axis.set(xlabel="sparsity, %", title=name)
-        axis.legend(loc="lower right" if name == "Gaussian" else "lower left")
+        axis.legend(loc="lower left" if name == "disc" else "lower right")
     axes[0].set_ylabel("similarity")
     save(figure, folder, "shapes")
     return rows
