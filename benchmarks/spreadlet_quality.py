@@ -35,6 +35,7 @@ from precompute.annealing import anneal
 from precompute.build import CellTask, build_cell
 from precompute.dart_throwing import throw_darts
 from precompute.fit import fit_values
+from precompute.fitted_annealing import anneal_fitted
 from precompute.green import reconstruct
 from precompute.light_tracing import trace_psf
 from precompute.lloyd import collapse, relax
@@ -465,13 +466,15 @@ STAGES = {  # name: LKS's figure, what is asked
     "dart throwing, values fitted": ("-", "< 25 %"),
     "dart throwing + Lloyd, values fitted": ("-", "< 25 %"),
     "dart throwing + Lloyd + annealing, values fitted": ("-", "< 25 %"),
+    "dart throwing + Lloyd + annealing under the fit": ("-", "< 25 %"),
     "elimination chain (sparsify)": ("-", "-"),
+    "the last, annealed under plain least squares": ("-", "-"),
 }
 DART_TRIES = 4
 
 
-def stage_errors(cell: int) -> tuple[list[float], list[int]] | None:
-    """Return the L1 error and the number of points of each stage at about equal numbers; None for a direct cell."""
+def stage_errors(cell: int) -> tuple[list[tuple[float, float]], list[int]] | None:
+    """Return L1 error, similarity and number of points of each stage at about equal numbers; None for a direct cell."""
     psf = cell_psf(grid_of(), cell)
     final = sparsify(psf, seed=SEED)[0]
     if final.direct:
@@ -486,11 +489,14 @@ def stage_errors(cell: int) -> tuple[list[float], list[int]] | None:
     both = anneal(window, dense, relaxed, rng)
     half = np.asarray(window.shape[:2]) // 2
     sums = [(points, collapse(dense, points)) for points in (darts, relaxed, annealed, both)]
-    fits = [(points, fit_values(window, points - half)) for points in (darts, relaxed, both)]
+    fitted = anneal_fitted(window, relaxed, rng)[0]
+    refined = anneal_fitted(window, final.offset_rc.astype(np.int64) + half, rng)[0]
+    fits = [(points, fit_values(window, points - half)) for points in (darts, relaxed, both, fitted, refined)]
     drawn = [reconstruct(points - half, value, window.shape[:2]) for points, value in sums + fits]
-    drawn.append(draw(final, half))
-    counts = [*(len(points) for points, _ in sums + fits), final.n_points]
-    return [psf_l1(window, image) for image in drawn], counts
+    drawn.insert(-1, draw(final, half))
+    counts = [len(points) for points, _ in sums + fits]
+    counts.insert(-1, final.n_points)
+    return [(psf_l1(window, image), psf_similarity(window, image)) for image in drawn], counts
 
 
 def as_many_darts(importance: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -512,11 +518,13 @@ def ablation(effort: Effort, folder: Path) -> list[Row]:
         results += [result for result in parallel(stage_errors, [(int(cell),) for cell in batch]) if result]
         if len(results) >= effort.ablated:
             break
-    errors, counts = (np.array(column) for column in zip(*results[: effort.ablated], strict=True))
-    relative = errors.mean(axis=0) / errors[:, 0].mean()
-    rows = [Row(f"mean L1 error of {len(errors)} sparse cells relative to dart throwing:", "", "", "")]
+    figures, counts = (np.array(column) for column in zip(*results[: effort.ablated], strict=True))
+    errors, similarities = figures.mean(axis=0).T
+    relative = errors / errors[0]
+    rows = [Row(f"mean L1 error of {len(figures)} sparse cells relative to dart throwing:", "", "", "")]
     for i, (name, (lks, asked)) in enumerate(STAGES.items()):
-        found = f"{100 * relative[i]:.1f} % (L1 {errors[:, i].mean():.4f}, {counts[:, i].mean():.0f} points)"
+        found = f"{100 * relative[i]:.1f} % (L1 {errors[i]:.4f}, {counts[:, i].mean():.0f} points"
+        found += f", similarity {similarities[i]:.4f})"
         rows.append(Row(f"  {name}", lks, asked, found))
     return rows
 
@@ -563,7 +571,7 @@ def shapes(effort: Effort, folder: Path) -> list[Row]:
             points = ", ".join(f"{s:.3f} at {100 * x:.2g} %" for x, s in shown)
             rows.append(Row(f"{label}: similarity at sparsity", "curve", "curve", points))
         axis.set(xlabel="sparsity, %", title=name)
-        axis.legend(loc="lower right" if name == "Gaussian" else "lower left")
+        axis.legend(loc="lower left" if name == "disc" else "lower right")
     axes[0].set_ylabel("similarity")
     save(figure, folder, "shapes")
     return rows

@@ -57,7 +57,7 @@ def anneal(
     cost = best_cost = float(np.abs(error).sum()) / total
     best = points
     for step in range(n_steps):
-        proposed = merge(_moved(points, psf.shape, rng))
+        proposed = merge(propose(points, psf.shape, rng))
         new_values = collapse(laplacian, proposed)
         trial = error.copy()
         add_sources(trial, *_difference(points, values, proposed, new_values))
@@ -70,8 +70,8 @@ def anneal(
     return best
 
 
-def _moved(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) -> IntArray:
-    """Move a few points by at most one pixel in each direction, staying inside the window."""
+def propose(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) -> IntArray:
+    """Return the points (n, 2), a few of them moved by at most one pixel in each direction inside the window."""
     chosen = rng.choice(len(points), size=max(1, round(MOVED_FRACTION * len(points))), replace=False)
     moved = points.copy()
     moved[chosen] += rng.integers(-1, 2, size=(len(chosen), 2))

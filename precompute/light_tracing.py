@@ -76,7 +76,8 @@ def trace_psf(
         1 behind the focus, -1 in front of it; for models that tell them apart.
     rays : int, optional
         Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default the tracer's own for
-        each pixel of the PSF's square, and at least `MIN_RAYS`. Models that are not traced by segments count paths.
+        each pixel of the smallest box along the motion that holds the PSF, and at least `MIN_RAYS`. Models that are not
+        traced by segments count paths.
     seed : int
         Of the shift of the low-discrepancy points.
 
@@ -112,9 +113,6 @@ def _draw_segments(
 ) -> FloatArray:
     """Draw as many segments as the rays pay for; return the sum (H, W, C), centred."""
     half = math.ceil(tracer.reach(box) + 0.5)
-    if rays is None:
-        rays = max(MIN_RAYS, tracer.rays_per_pixel * (2 * half + 1) ** 2)
-
     own = tracer.generators
     generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
 
@@ -125,7 +123,8 @@ def _draw_segments(
     chunk = max(CHUNK // tracer.segments_per_point, 1)
     shift = np.random.default_rng(seed).random(tracer.n_dimensions)
     pilot = make_segments(0, PILOT_POINTS, PILOT_POINTS)
-    n_points = math.ceil(rays * PILOT_POINTS / _cost(pilot))
+    n_rays = rays or max(MIN_RAYS, math.ceil(tracer.rays_per_pixel * _box_area(pilot, pose[0])))
+    n_points = math.ceil(n_rays * PILOT_POINTS / _cost(pilot))
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
     for first in range(0, n_points, chunk):
         deposit_segments(*make_segments(first, n_points, chunk), images)
@@ -156,6 +155,14 @@ def _generators(n: int) -> FloatArray:
     for _ in range(64):
         ratio = (1.0 + ratio) ** (1.0 / (n + 1))
     return np.asarray(ratio ** -np.arange(1.0, n + 1.0), dtype=np.float64)
+
+
+def _box_area(segments: Segments, direction: float) -> float:
+    """Return the pixels of the smallest box along a direction that holds segments, with a margin of a pixel."""
+    along = np.array([math.cos(direction), math.sin(direction)])
+    ends = segments.ends.reshape(-1, 2)
+    length, width = (np.ptp(ends @ axis) + 3.0 for axis in (along, np.array([-along[1], along[0]])))
+    return float(length * width)
 
 
 def _cost(segments: Segments) -> float:

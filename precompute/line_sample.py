@@ -11,7 +11,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 RAYS_PER_PIXEL = 1024
-"""Default point-equivalent deposits per pixel of the PSF's square."""
+"""Default point-equivalent deposits per pixel of the smallest box along the motion that holds the PSF."""
 
 
 class Segments(NamedTuple):
@@ -42,7 +42,8 @@ class Tracer:
     segments_per_point : int
         How many segments ``trace`` makes of a point, about.
     rays_per_pixel : int
-        Default number of point-equivalent deposits for each pixel of the PSF's square.
+        Default number of point-equivalent deposits for each pixel of the smallest box along the motion
+        that holds the PSF.
     generators : tuple of floats, optional
         Steps of all coordinates but the first from point to point, modulo 1; by default those of the R_n sequence.
     """

@@ -25,16 +25,16 @@ N_SAMPLED = 24
 LARGE_COC = 4.0
 """CoC radius, px: the limits on sparsity hold from here on; smaller PSFs are little more than their edge."""
 
-LEAST_SIMILARITY = 0.95
+LEAST_SIMILARITY = 0.97
 """Of any spreadlet of a large CoC."""
 
-LEAST_SMALL_SIMILARITY = 0.94
+LEAST_SMALL_SIMILARITY = 0.96
 """Of any other: where a handful of pixels is all there is, leaving out the faintest costs more."""
 
 MEAN_SIMILARITY = 0.98
 """Over the sampled spreadlets of large CoC."""
 
-MEAN_SPARSITY = {"combined": 0.15, "simplelens": 0.30, FRESH: 0.25}
+MEAN_SPARSITY = {"combined": 0.13, "simplelens": 0.28, FRESH: 0.25}
 """Largest, over the sampled spreadlets of large CoC: half of the simple lens's radii are below 30 px, and the fresh
 database's end at 12 px; small PSFs need more of their pixels."""
 

@@ -3,7 +3,7 @@ import pytest
 from reference import capsule_psf, disc_coverage
 from scipy.ndimage import gaussian_filter
 
-from precompute.sparsify import sparsify
+from precompute.sparsify import DIRECT_BITS, round_direct, sparsify
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_l1, psf_similarity
 
@@ -86,6 +86,20 @@ def test_thin_psfs_are_drawn_directly_and_exactly(psf):
     assert statistics["ssim"] > 0.97
     assert statistics["energy_error"] < 1e-6
     assert statistics["sparsity"] <= 1
+
+
+def test_direct_pixels_are_rounded_to_few_bits_without_loss_of_energy():
+    rng = np.random.default_rng(5)
+    value = np.concatenate([np.full((300, 2), 0.003), rng.random((100, 2)) * [0.01, 5.0]])
+    offset = rng.permutation(np.argwhere(np.ones((20, 20))) - 10)
+    rounded = round_direct(offset, value)
+    step = 2.0 ** np.ceil(np.log2(value.max(axis=0))) / 2**DIRECT_BITS
+    others = np.delete(np.arange(400), np.argmin((offset**2).sum(axis=1)))
+    np.testing.assert_array_equal(rounded[others] / step, np.rint(rounded[others] / step))
+    assert (np.abs(rounded - value) <= 1.5 * step).all()
+    np.testing.assert_allclose(rounded.sum(axis=0, dtype=np.float64), value.sum(axis=0), rtol=1e-7)
+    # A plateau keeps its mean: rounding each pixel to the nearest step would shift all of them alike.
+    np.testing.assert_allclose(rounded[:300].sum(axis=0), value[:300].sum(axis=0), atol=1.5 * step.max())
 
 
 def test_points_inherit_the_psf_s_symmetry():

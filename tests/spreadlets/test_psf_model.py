@@ -84,8 +84,9 @@ def test_directions_keep_the_tip_within_half_a_step(step_px):
             continue
         assert nodes[0] == 0.0 and nodes[-1] == OCTANT
         np.testing.assert_allclose(np.diff(nodes), grid.direction_half_width(cell))
-        softness = np.diff(grid.box(cell)[0])[0] / 2
-        assert grid.direction_half_width(cell) / 2 * longest / 2 <= max(step_px, softness) / 2 * (1 + 1e-12)
+        step = step_px * min(1 + grid.box(cell)[0, 0] / 2.4, 16)
+        assert grid.direction_half_width(cell) / 2 * longest / 2 <= step / 2 * (1 + 1e-12)
+        assert grid.direction_half_width(cell) * longest / 2 >= step * (1 - 1 / (len(nodes) - 1)) * 0.99
 
 
 def test_short_motion_needs_one_direction():
