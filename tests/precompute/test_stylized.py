@@ -96,7 +96,9 @@ def test_image_goes_with_the_database(letter_path, tmp_path):
     with open_database(tmp_path / "l.h5") as database:
         assert database.n_channels == 3
         stored = decode(database.grid.model.settings["image"])
-        assert database.grid.model == get_model("stylized", 3.0, settings=model_settings("stylized", {"image": letter_path}))
+        assert database.grid.model == get_model(
+            "stylized", 3.0, settings=model_settings("stylized", {"image": letter_path})
+        )
     np.testing.assert_allclose(stored, linear(letter()), atol=1e-2)
 
 
