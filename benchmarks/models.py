@@ -1,21 +1,25 @@
 """Every PSF model: sparsity and similarity of its spreadlets, size and build time, and images against dense splatting.
 
 Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. Frames
-are read from ``--frames`` (default ../shared/frames) and skipped where they are missing. Writes models.txt to
-benchmarks/results.
+are read from ``--frames`` (default ../shared/frames) and skipped where they are missing. Writes models.txt and
+models_frames.txt to benchmarks/results. ``combined`` on frames is the subject of frames.py.
 
-    python benchmarks/models.py [--frames DIR] [--sample N]
+    python benchmarks/models.py [--frames DIR] [--sample N] [--scenes NAME ...] [--models NAME ...]
 """
 
 import argparse
 import tempfile
 import warnings
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 import spreadlets as sp
 from precompute.build import build_database, model_grid
+from runtime.render import synthesize
+from runtime.variant import DensePsf
+from spreadlets.api import _dense_psf
 from spreadlets.database import Database, open_database
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -76,7 +80,7 @@ def database_row(name: str, database: Database) -> list[object]:
     ]
 
 
-def frame_row(folder: Path, scene: str, database: Database) -> list[object]:
+def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsf) -> list[object]:
     """Return a row of the second table: spreadlets against dense splatting of the same PSFs."""
     frame, camera = sp.read_frame(folder / f"{scene}_pinhole.exr"), sp.read_camera(folder / f"{scene}.json")
     with warnings.catch_warnings():
@@ -84,7 +88,7 @@ def frame_row(folder: Path, scene: str, database: Database) -> list[object]:
         warnings.simplefilter("ignore")
         sp.synthesize(frame, camera, database)
         image, report = sp.synthesize(frame, camera, database, report=True)
-        dense, dense_report = sp.synthesize(frame, camera, database, method="dense", report=True)
+        dense, dense_report = synthesize(frame, camera, database, dense_psf=dense_psf)
     figures = sp.metrics.compare(image, dense)
     splat, dense_splat = (each["time_s"]["splat"] + each["time_s"]["integrate"] for each in (report, dense_report))
     points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size
@@ -108,35 +112,50 @@ def table(columns: tuple[str, ...], rows: list[list[object]]) -> str:
     return "\n".join("  ".join(x.rjust(w) for x, w in zip(row, widths, strict=True)) for row in cells)
 
 
+def spreadlet_table(n_sampled: int) -> str:
+    """Return the first table: every model's spreadlets."""
+    rows = []
+    for name in MODELS:
+        if name not in SAMPLED:
+            with open_database(name) as database:
+                rows.append(database_row(name, database))
+    with tempfile.TemporaryDirectory() as folder:
+        for name in SAMPLED:
+            with sample(name, n_sampled, Path(folder)) as database:
+                rows.append(database_row(name, database))
+    columns = ("database", "cells", "poses", "built", "sparsity %", "median", "LKS", "ssim", "worst", "l1")
+    return table((*columns, "MB", "LKS MB", "s each"), rows)
+
+
+def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
+    """Return the second table: images against dense splatting of the same PSFs."""
+    rows = []
+    for name in names:
+        with open_database(name) as database:
+            traced = cache(_dense_psf(database))
+            rows += [frame_row(folder, scene, database, traced) for scene in scenes]
+            print(rows[-1], flush=True)
+    return table(("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio"), rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=Path, default=ROOT.parent / "shared" / "frames")
-    parser.add_argument("--sample", type=int, default=24)
+    parser.add_argument("--sample", type=int, default=24, help="poses of each sampled database; 0: no such table")
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES))
+    parser.add_argument("--models", nargs="*", default=[name for name in MODELS if name != "combined"])
     arguments = parser.parse_args()
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name in MODELS:
-            if name not in SAMPLED:
-                with open_database(name) as database:
-                    rows.append(database_row(name, database))
-        for name in SAMPLED:
-            with sample(name, arguments.sample, Path(folder)) as database:
-                rows.append(database_row(name, database))
-    columns = ("database", "cells", "poses", "built", "sparsity %", "median", "LKS", "ssim", "worst", "l1")
-    text = ["Spreadlets", table((*columns, "MB", "LKS MB", "s each"), rows)]
-    print(text[-1], flush=True)
-    if (arguments.frames / "coins_pinhole.exr").exists():
-        found = []
-        for name in MODELS:
-            with open_database(name) as database:
-                found += [frame_row(arguments.frames, scene, database) for scene in SCENES]
-        columns = ("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio")
-        text += ["", "Frames against dense splatting of the same PSFs (s: splat and integrate)", table(columns, found)]
-        print(text[-1])
-    else:
-        print(f"no frames in {arguments.frames}: the second table is left out")
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "models.txt").write_text("\n".join(text) + "\n")
+    if arguments.sample:
+        text = spreadlet_table(arguments.sample)
+        print(text)
+        (RESULTS / "models.txt").write_text(text + "\n")
+    if not (arguments.frames / "coins_pinhole.exr").exists():
+        print(f"no frames in {arguments.frames}: the second table is left out")
+    elif arguments.models:
+        text = frame_table(arguments.frames, arguments.scenes, arguments.models)
+        print(text)
+        (RESULTS / "models_frames.txt").write_text("s: splat and integrate\n" + text + "\n")
 
 
 if __name__ == "__main__":

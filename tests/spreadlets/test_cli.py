@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from spreadlets.database import open_database
 from spreadlets import cli, exr
+from spreadlets.database import open_database
 from spreadlets.frame import Frame
 
 CAMERA = {
