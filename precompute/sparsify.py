@@ -111,8 +111,9 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
         raise InvalidParameterError(f"density must be above 0, not {density}")
     checked = _checked(psf)
     shift = _offset_of_support(checked)
-    whole = _on_box(_moved(checked, -shift))
-    boxed, spike = split_spike(whole)
+    # The box follows the support, which a spike would hide.
+    rest, spike = split_spike(_moved(checked, -shift))
+    boxed = _on_box(rest)
     price, limit = PRICE * density**-PRICE_EXPONENT, WORST_LOSS * density**-0.5
     threshold = CANDIDATE_THRESHOLD
     if spike.any():
@@ -239,7 +240,7 @@ def _with_spike(spreadlet: Spreadlet, spike: FloatArray) -> Spreadlet:
     """Add a spike to a spreadlet: one pixel, or the five points of its Laplacian.
 
     The spike is many times larger than the other values, so float32 cannot hold its sum with them. What is rounded off
-    goes to the nearest other point, lest the sum of all values cease to be zero.
+    goes to the nearest other points, lest the sum of all values cease to be zero; evenly, lest a dipole be left.
     """
     points = {
         (int(row), int(column)): np.asarray(value, np.float64)
@@ -253,8 +254,10 @@ def _with_spike(spreadlet: Spreadlet, spike: FloatArray) -> Spreadlet:
         points[place] = exact.astype(np.float32).astype(np.float64)
         rounded_off += exact - points[place]
     if not spreadlet.direct:
-        nearest = min(points.keys() - {place for place, _ in shape}, key=lambda rc: rc[0] ** 2 + rc[1] ** 2)
-        points[nearest] = points[nearest] + rounded_off
+        others = {rc: rc[0] ** 2 + rc[1] ** 2 for rc in points.keys() - {place for place, _ in shape}}
+        nearest = [rc for rc, square in others.items() if square == min(others.values())]
+        for place in nearest:
+            points[place] = points[place] + rounded_off / len(nearest)
     offset = sorted(points)
     value = np.stack([points[place] for place in offset])
     return Spreadlet(np.array(offset, np.int16), value.astype(np.float32), spreadlet.direct)

@@ -51,8 +51,8 @@ MAX_ENERGY_ERROR = 1e-4
 SIMILARITY_TOLERANCE = 2e-3
 """Between the recorded similarity and the one measured anew: noise of the tracing, should its samples differ."""
 
-LEAST_HALO = 0.05
-"""Share of the light around a spike below which rounding shows in its figures: the spike is up to a million times brighter."""
+LEAST_HALO = 1e-3
+"""Share of the light around a spike below which rounding shows in its figures."""
 
 RELATIVE_TOLERANCE = 0.02
 """The same for the support and the L1 error."""
