@@ -29,6 +29,9 @@ N_DIMENSIONS = 2
 LINE_ANGLE = 0.3
 """Direction of all lines, radians: far from the lattice's axes and diagonals, to which parallel lines would beat."""
 
+RAYS_PER_PIXEL = 256
+"""Point-equivalent deposits: parallel lines are spread so evenly that few of them draw a smooth image."""
+
 SAMPLES_PER_PIXEL = 2
 """Samples along a line for each pixel of the image: an oblique line's light is not quite linear between pixels."""
 
@@ -123,7 +126,14 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         scale = tent(points[:, 1:2], *box[0]) / (0.5 * max(light.shape[:2]))
         return polylines(scale * x, scale * y, _light_at(light, x, y, offset))
 
-    return Tracer(N_DIMENSIONS, trace, lambda box: reach(box, light, offset), unchanged, along.size)
+    return Tracer(
+        N_DIMENSIONS,
+        trace,
+        lambda box: reach(box, light, offset),
+        unchanged,
+        segments_per_point=along.size,
+        rays_per_pixel=RAYS_PER_PIXEL,
+    )
 
 
 def _light_at(light: FloatArray, x: FloatArray, y: FloatArray, offset: FloatArray) -> FloatArray:

@@ -107,9 +107,9 @@ def build(
 
     An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
 
-    Examples: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+    Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
 
-    spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
+    Example: spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
     """
     from spreadlets.api import build_database
     from spreadlets.camera import read_camera

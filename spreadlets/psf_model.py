@@ -29,8 +29,8 @@ MAX_DIRECTION_STEPS = 16.0
 sizes, loses 0.016 of similarity at its worst angle as a rule, and up to 0.03 at a few angles of the sharpest lines."""
 
 LENS_DIRECTION_STEPS = 4.5
-"""Steps at once for what a lens makes of a point off its axis, which is never as sharp as a line; where the pre-filter is
-wider than that, half its width."""
+"""Steps at once for what a lens makes of a point off its axis, which is never as sharp as a line; or half the width of
+the pre-filter, where that is more."""
 
 STILL_MOTION_PX = 1.0
 """A path no longer than a pixel, px, looks the same in every direction."""

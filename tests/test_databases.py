@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from precompute.light_tracing import trace_psf
+from precompute.sparsify import split_spike
 from spreadlets.database import open_database
 from spreadlets.metrics import (
     PSF_MARGIN_FRACTION,
@@ -34,7 +35,14 @@ LEAST_SMALL_SIMILARITY = 0.96
 MEAN_SIMILARITY = 0.98
 """Over the sampled spreadlets of large CoC."""
 
-MEAN_SPARSITY = {"combined": 0.13, "simplelens": 0.28, FRESH: 0.25}
+MEAN_SPARSITY = {
+    "combined": 0.13,
+    "simplelens": 0.28,
+    FRESH: 0.25,
+    "physicallens": 0.45,
+    "stylized": 0.50,
+    "volume": 0.01,
+}
 """Largest, over the sampled spreadlets of large CoC: half of the simple lens's radii are below 30 px, and the fresh
 database's end at 12 px; small PSFs need more of their pixels."""
 
@@ -42,6 +50,9 @@ MAX_ENERGY_ERROR = 1e-4
 
 SIMILARITY_TOLERANCE = 2e-3
 """Between the recorded similarity and the one measured anew: noise of the tracing, should its samples differ."""
+
+LEAST_HALO = 1e-3
+"""Share of the light around a spike below which rounding shows in its figures."""
 
 RELATIVE_TOLERANCE = 0.02
 """The same for the support and the L1 error."""
@@ -58,6 +69,7 @@ class Measured(NamedTuple):
     n_support: int
     energy_error: float
     recorded: dict[str, float]
+    share: float
 
 
 def retrace(database, cell, number):
@@ -68,6 +80,7 @@ def retrace(database, cell, number):
         database.grid.box(cell),
         direction=float(database.directions(cell)[number]),
         direction_half_width=database.grid.direction_half_width(cell),
+        side=database.grid.side(cell, number),
         rays=database.provenance["parameters"]["rays"],
         seed=int(seed),
     )
@@ -85,22 +98,36 @@ def on_one_window(psf, spreadlet):
     return np.pad(psf, ((rows, rows), (cols, cols), (0, 0))), window
 
 
+def without_spike(psf, spreadlet):
+    """Return a PSF and its reconstruction on one window, both without what the central pixel has of its own."""
+    true, drawn = on_one_window(psf, spreadlet)
+    rest, spike = split_spike(true)
+    drawn[tuple(np.array(drawn.shape[:2]) // 2)] -= spike
+    return rest, drawn
+
+
+def is_large(database, cell):
+    """Tell cells whose PSFs are more than their edge: those of a medium all are."""
+    return bool(database.grid.model.axes[0].unit == "m" or database.coordinate(cell)[0] >= LARGE_COC)
+
+
 def measure(database, cell, number, statistics):
     psf, spreadlet = retrace(database, cell, number), database.cell(cell, number)
-    true, drawn = on_one_window(psf, spreadlet)
-    n_support = int((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2).sum())
+    true, drawn = without_spike(psf, spreadlet)
+    n_support = int((true > PSF_SUPPORT_THRESHOLD * true.max()).any(axis=2).sum())
     moments = spreadlet.moments()
     energy = moments[0] if spreadlet.direct else 0.25 * (moments[4] + moments[5])
     index = int(database.cell_start[cell]) + number
     return Measured(
         f"cell {cell}, direction {number}",
-        bool(database.coordinate(cell)[0] >= LARGE_COC),
+        is_large(database, cell),
         psf_similarity(true, drawn),
         psf_l1(true, drawn),
         spreadlet.n_points / n_support,
         n_support,
-        float(np.abs(energy - 1.0).max()),
+        float(np.abs(energy - psf.sum(axis=(0, 1))).max()),
         {name: float(column[index]) for name, column in statistics.items()},
+        share=float(split_spike(psf)[0].sum() / psf.sum()),
     )
 
 
@@ -140,6 +167,8 @@ def test_sampled_spreadlets_keep_the_energy(measured):
 
 def test_recorded_figures_are_those_of_the_points(measured):
     for one in measured[0]:
+        if one.share < LEAST_HALO:
+            continue
         assert one.recorded["ssim"] == pytest.approx(one.similarity, abs=SIMILARITY_TOLERANCE), one.place
         for name in ("l1", "sparsity", "n_support"):
             expected = pytest.approx(getattr(one, name), rel=RELATIVE_TOLERANCE, abs=1e-4)

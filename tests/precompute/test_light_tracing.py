@@ -203,7 +203,7 @@ def test_chords_carry_the_area_of_the_lens(radius, half_path):
 @pytest.mark.parametrize(
     "model, box, keywords, message",
     [
-        (PsfModel("fisheye", SIMPLE.axes, 1, False, 9), [[1, 2]], {}, "'fisheye'.*combined, simplelens"),
+        (PsfModel("fisheye", SIMPLE.axes, 1, False, 9), [[1, 2]], {}, "'fisheye'.*combined, physicallens, simplelens"),
         (COMBINED, [[1, 2]], {}, r"\(2, 2\).*\(1, 2\)"),
         (SIMPLE, [[2, 1]], {}, "low <= high"),
         (SIMPLE, [[-1, 1]], {}, "0 <= low"),

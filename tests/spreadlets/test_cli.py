@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from spreadlets import cli, exr
+from spreadlets.database import open_database
 from spreadlets.frame import Frame
 
 CAMERA = {
@@ -278,9 +279,31 @@ def test_a_database_for_one_frame_holds_what_it_uses_and_gives_the_same_image(ru
     assert status == 2 and "left out of this database" in err
 
 
-def test_for_and_camera_go_together(run, scene):
+def test_for_needs_a_camera_and_a_camera_frames_unless_the_model_depends_on_it(run, scene):
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
+    assert status == 2 and "only together with the frames" in err
+    status, _, err = run("build", "combined", "-o", scene / "part.h5", "--for", scene / "frame.exr")
     assert status == 2 and "--for needs --camera" in err
+
+
+def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):
+    path = tmp_path / "blades.h5"
+    arguments = "--samples", "3", "--max-coc", "4", "--blades", "5", "--squeeze", "0.8", "--json"
+    assert run("build", "simplelens", "-o", path, *arguments)[0] == 0
+    with open_database(path) as database:
+        aperture = database.grid.model.settings["aperture"]
+        assert (aperture["blades"], aperture["squeeze"]) == (5, 0.8)
+    for model, option, value in (("volume", "--blades", "5"), ("combined", "--lens", "singlet")):
+        status, _, err = run("build", model, "-o", tmp_path / "none.h5", option, value)
+        assert status == 2 and f"the model '{model}' has no option '{option[2:]}'" in err
+    assert not (tmp_path / "none.h5").exists()
+
+
+def test_a_bad_prescription_is_one_line_with_its_place(run, tmp_path):
+    lens = tmp_path / "lens.txt"
+    lens.write_text("radius thickness glass semi_diameter\n")
+    status, out, err = run("build", "physicallens", "-o", tmp_path / "none.h5", "--lens", lens)
+    assert status == 2 and not out and "lens.txt, line 1: the columns are" in err and err.count("\n") == 1
 
 
 def with_camera(**changes):

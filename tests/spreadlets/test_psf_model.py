@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf_model import DIRECTION_STEP_PX, OCTANT, Axis, PsfGrid, PsfModel, get_model
+from spreadlets.psf_model import DIRECTION_STEP_PX, OCTANT, Axis, PoseSymmetry, PsfGrid, PsfModel, get_model
 
 COMBINED = PsfGrid.of(get_model("combined"))
 
@@ -18,7 +18,7 @@ def test_models_are_those_of_the_paper():
 
 
 def test_unknown_model_lists_the_known_ones():
-    with pytest.raises(InvalidParameterError, match="'fisheye'.*combined, simplelens"):
+    with pytest.raises(InvalidParameterError, match="'fisheye'.*combined, physicallens, simplelens, stylized, volume"):
         get_model("fisheye")
 
 
@@ -137,3 +137,59 @@ def test_model_without_direction_needs_no_symmetry():
     grid = PsfGrid.of(get_model("simplelens"))
     assert grid.directions(5).tolist() == [0.0]
     assert [part.tolist() for part in grid.nearest_direction(5, [1.0, 2.0])] == [[0, 0]] + 3 * [[False, False]]
+
+
+SYMMETRIES = [
+    PoseSymmetry(arrow=arrow, lattice=lattice, sign=sign)
+    for arrow in (False, True)
+    for lattice in (False, True)
+    for sign in ("ignored", "turned", "stored")
+]
+
+
+def posed_grid(symmetry):
+    model = get_model("combined")
+    return PsfGrid.of(PsfModel(model.name, model.axes, 1, True, 400, symmetry))
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES, ids=str)
+def test_every_direction_and_side_comes_from_the_nearest_pose(symmetry):
+    """Follow a direction through the look-up and back: the stored one, turned, is the one asked for."""
+    grid = posed_grid(symmetry)
+    cell = int(grid.find([4.0, 60.0]))
+    angles = np.random.default_rng(3).uniform(-7.0, 7.0, 200)
+    for in_front in (False, True):
+        number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angles, in_front)
+        stored = grid.directions(cell)[number]
+        x, y = np.cos(stored), np.sin(stored)
+        x, y = np.where(transpose, y, x), np.where(transpose, x, y)
+        x, y = np.where(flip_col, -x, x), np.where(flip_row, -y, y)
+        along = x * np.cos(angles) + y * np.sin(angles)
+        aligned = along if symmetry.arrow else np.abs(along)
+        assert aligned.min() > np.cos(1.01 * grid.direction_half_width(cell) / 2)
+        sides = {grid.side(cell, int(each)) for each in number}
+        assert sides == ({-1} if in_front and symmetry.sign == "stored" else {1})
+        if not symmetry.lattice:
+            turned = in_front and symmetry.sign == "turned"
+            assert not transpose.any() and (flip_row == turned).all() and (flip_col == turned).all()
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES, ids=str)
+def test_poses_are_counted_as_they_are_listed(symmetry):
+    grid = posed_grid(symmetry)
+    for cell in (0, 30, 200, 399):
+        assert len(grid.directions(cell)) == grid.pose_counts[cell]
+    spans = symmetry.n_spans if symmetry.n_spans == 1 else symmetry.n_spans * (grid.direction_counts - 1)
+    expected = np.maximum(grid.direction_counts if symmetry.n_spans == 1 else spans, 1) * symmetry.n_sides
+    np.testing.assert_array_equal(grid.pose_counts, expected)
+
+
+def test_directions_of_a_lens_are_more_towards_the_corner():
+    grid = PsfGrid.of(get_model("physicallens", settings={"aberration_px": 4.0}), 400)
+    near, far = (int(grid.find([20.0, height])) for height in (1.0, 24.0))
+    assert grid.direction_counts[near] < grid.direction_counts[far]
+
+
+def test_unknown_symmetry_is_refused():
+    with pytest.raises(InvalidParameterError, match="sign 'odd'"):
+        PoseSymmetry(sign="odd")

@@ -1,0 +1,162 @@
+"""Every PSF model: sparsity and similarity of its spreadlets, size and build time, and images against dense splatting.
+
+Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. Frames
+are read from ``--frames`` (default ../shared/frames) and skipped where they are missing. Writes models.txt and
+models_frames.txt to benchmarks/results. ``combined`` on frames is the subject of frames.py.
+
+    python benchmarks/models.py [--frames DIR] [--sample N] [--scenes NAME ...] [--models NAME ...]
+"""
+
+import argparse
+import tempfile
+import warnings
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import spreadlets as sp
+from precompute.build import build_database, model_grid
+from runtime.render import synthesize
+from runtime.variant import DensePsf
+from spreadlets.api import _dense_psf
+from spreadlets.database import Database, open_database
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+SCENES = ("coins", "whirl", "fence")
+MODELS = ("simplelens", "combined", "physicallens", "volume", "stylized")
+LKS_SPARSITY = {"simplelens": 31.3, "combined": 9.3, "physicallens": 2.2, "volume": 18.4, "stylized": 24.9}
+LKS_MEGABYTES = {"simplelens": 1.1, "combined": 4.2, "physicallens": 30.8, "volume": 5.3, "stylized": 9.0}
+"""LKS table 1: per cent, and MB."""
+
+LENS = {"lens": "double_gauss", "width": 1024}
+HEART = {"image": str(ROOT / "docs" / "models" / "heart.png"), "colour_offset": 0.06}
+SAMPLED = {
+    "physicallens": {"max_coc": 32.0, **LENS},
+    "physicallens, CoC to 128": {"max_coc": 128.0, **LENS},
+    "stylized, CoC to 256": {"max_coc": 256.0, **HEART},
+}
+"""Databases of which a sample is built: their options."""
+
+
+def sample(name: str, n: int, folder: Path) -> Database:
+    """Build a few random poses of a full-size grid."""
+    model, options = name.split(",")[0], dict(SAMPLED[name])
+    if model == "physicallens":
+        options["camera"] = sp.read_camera(ROOT / "psf_db" / "physicallens.json")
+    grid = model_grid(model, **options)
+    poses = [(cell, number) for cell in range(grid.n_cells) for number in range(int(grid.pose_counts[cell]))]
+    chosen = np.random.default_rng(0).choice(len(poses), min(n, len(poses)), replace=False)
+    path = folder / f"{name.replace(' ', '_')}.h5"
+    build_database(model, path, only=[poses[i] for i in chosen], jobs=1, **options)
+    return open_database(path)
+
+
+def database_row(name: str, database: Database) -> list[object]:
+    """Return a row of the first table."""
+    figures = database.summary()
+    model = database.grid.model.name
+    n_poses = int(database.grid.pose_counts.sum())
+    share = figures["n_spreadlets"] / n_poses
+    # The index tables do not shrink with a sample.
+    points = sum(database._file[key].id.get_storage_size() for key in ("offset_rc", "value"))
+    megabytes = (figures["size_bytes"] - points + points / share) / 1e6
+    seconds = (figures["build_s"] or 0.0) / figures["n_spreadlets"]
+    return [
+        name,
+        figures["n_cells"],
+        n_poses,
+        figures["n_spreadlets"],
+        100 * figures["mean_sparsity"],
+        100 * float(np.median(database.statistics()["sparsity"][np.diff(database.point_start) > 0])),
+        LKS_SPARSITY[model],
+        figures["mean_ssim"],
+        figures["min_ssim"],
+        figures["mean_l1"],
+        megabytes,
+        LKS_MEGABYTES[model],
+        seconds,
+    ]
+
+
+def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsf) -> list[object]:
+    """Return a row of the second table: spreadlets against dense splatting of the same PSFs."""
+    frame, camera = sp.read_frame(folder / f"{scene}_pinhole.exr"), sp.read_camera(folder / f"{scene}.json")
+    with warnings.catch_warnings():
+        # These scenes are in units of their own: the CoC is that of the frame's camera, the aberrations the lens's.
+        warnings.simplefilter("ignore")
+        sp.synthesize(frame, camera, database)
+        image, report = sp.synthesize(frame, camera, database, report=True)
+        dense, dense_report = synthesize(frame, camera, database, dense_psf=dense_psf)
+    figures = sp.metrics.compare(image, dense)
+    splat, dense_splat = (each["time_s"]["splat"] + each["time_s"]["integrate"] for each in (report, dense_report))
+    points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size
+    return [
+        database.grid.model.name,
+        scene,
+        figures["ssim"],
+        1 - figures["ssim"],
+        figures["psnr"],
+        points,
+        splat,
+        dense_splat,
+        dense_splat / splat,
+    ]
+
+
+def table(columns: tuple[str, ...], rows: list[list[object]]) -> str:
+    """Lay a table out in aligned columns."""
+    cells = [list(columns)] + [[f"{x:.4g}" if isinstance(x, float) else str(x) for x in row] for row in rows]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(columns))]
+    return "\n".join("  ".join(x.rjust(w) for x, w in zip(row, widths, strict=True)) for row in cells)
+
+
+def spreadlet_table(n_sampled: int) -> str:
+    """Return the first table: every model's spreadlets."""
+    rows = []
+    for name in MODELS:
+        if name not in SAMPLED:
+            with open_database(name) as database:
+                rows.append(database_row(name, database))
+    with tempfile.TemporaryDirectory() as folder:
+        for name in SAMPLED:
+            with sample(name, n_sampled, Path(folder)) as database:
+                rows.append(database_row(name, database))
+    columns = ("database", "cells", "poses", "built", "sparsity %", "median", "LKS", "ssim", "worst", "l1")
+    return table((*columns, "MB", "LKS MB", "s each"), rows)
+
+
+def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
+    """Return the second table: images against dense splatting of the same PSFs."""
+    rows = []
+    for name in names:
+        with open_database(name) as database:
+            traced = cache(_dense_psf(database))
+            rows += [frame_row(folder, scene, database, traced) for scene in scenes]
+            print(rows[-1], flush=True)
+    return table(("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio"), rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=Path, default=ROOT.parent / "shared" / "frames")
+    parser.add_argument("--sample", type=int, default=24, help="poses of each sampled database; 0: no such table")
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES))
+    parser.add_argument("--models", nargs="*", default=[name for name in MODELS if name != "combined"])
+    arguments = parser.parse_args()
+    RESULTS.mkdir(exist_ok=True)
+    if arguments.sample:
+        text = spreadlet_table(arguments.sample)
+        print(text)
+        (RESULTS / "models.txt").write_text(text + "\n")
+    if not (arguments.frames / "coins_pinhole.exr").exists():
+        print(f"no frames in {arguments.frames}: the second table is left out")
+    elif arguments.models:
+        text = frame_table(arguments.frames, arguments.scenes, arguments.models)
+        print(text)
+        (RESULTS / "models_frames.txt").write_text("s: splat and integrate\n" + text + "\n")
+
+
+if __name__ == "__main__":
+    main()

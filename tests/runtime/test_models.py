@@ -1,0 +1,145 @@
+"""Coloured, turned and one-sided PSFs from database to image."""
+
+import numba
+import numpy as np
+import pytest
+
+from precompute.build import build_database, model_settings
+from runtime.plan import needed_spreadlets
+from spreadlets.api import synthesize
+from spreadlets.camera import ThinLens
+from spreadlets.database import open_database
+from spreadlets.frame import Frame
+from spreadlets.metrics import ssim
+from spreadlets.psf_model import PsfGrid, get_model
+
+SIZE = 64
+CAMERA = ThinLens(
+    focal_length_mm=50.0, sensor_width_mm=36.0, f_number=0.02, focus_distance_m=4.0, shutter=(-0.25, 0.25)
+)
+"""Wide open, so that a small frame is blurred by many pixels; glass is built for a camera that glass can serve."""
+
+GLASS = ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=5.0, focus_distance_m=4.0)
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="builds databases")
+
+
+def depth_of(coc):
+    return 1.0 / (1.0 / CAMERA.focus_distance_m - coc / CAMERA.coc_scale(SIZE))
+
+
+def spot_frame(row, col, coc, depth=None, path=(0.0, 0.0)):
+    """A bright pixel on black, with the same labels everywhere."""
+    radiance = np.zeros((SIZE, SIZE, 3), np.float32)
+    radiance[row, col] = 8.0
+    motion = np.broadcast_to(np.float32(path) / CAMERA.shutter_duration, (SIZE, SIZE, 2))
+    return Frame(radiance, np.full((SIZE, SIZE), depth or depth_of(coc), np.float32), motion)
+
+
+def noise_frame(coc_low, coc_high):
+    """Random blocks of colour; the blur changes from left to right."""
+    rng = np.random.default_rng(5)
+    radiance = rng.random((8, 8, 3)).repeat(8, 0).repeat(8, 1).astype(np.float32)
+    coc = np.linspace(coc_low, coc_high, SIZE)
+    return Frame(radiance, np.broadcast_to(depth_of(coc), (SIZE, SIZE)).astype(np.float32))
+
+
+def centroid(image):
+    rows, cols = np.indices(image.shape)
+    return np.array([(image * rows).sum(), (image * cols).sum()]) / image.sum()
+
+
+@pytest.fixture(scope="module")
+def triangles(tmp_path_factory):
+    path = tmp_path_factory.mktemp("databases") / "triangles.h5"
+    build_database("simplelens", path, samples=12, max_coc=12.0, jobs=1, blades=3, rotation=0.0)
+    with open_database(path) as database:
+        yield database
+
+
+@pytest.fixture(scope="module")
+def lens(tmp_path_factory):
+    """A singlet and only what a frame needs of it: one CoC radius on both sides of the focus."""
+    path = tmp_path_factory.mktemp("databases") / "lens.h5"
+    options = {"lens": "singlet", "camera": GLASS, "width": SIZE}
+    grid = PsfGrid.of(get_model("physicallens", 8.0, settings=model_settings("physicallens", options)), 12)
+    frames = [spot_frame(32, 32, 5.0), spot_frame(32, 32, -5.0)]
+    needed = set().union(*(needed_spreadlets(frame, CAMERA, grid) for frame in frames))
+    build_database("physicallens", path, samples=12, max_coc=8.0, jobs=1, only=needed, rays=300_000, **options)
+    with open_database(path) as database:
+        yield database
+
+
+@pytest.fixture(scope="module")
+def fog(tmp_path_factory):
+    path = tmp_path_factory.mktemp("databases") / "fog.h5"
+    build_database("volume", path, samples=6, jobs=1, rays=60_000, width=SIZE, psf_radius=16.0, camera=CAMERA)
+    with open_database(path) as database:
+        yield database
+
+
+def test_a_triangle_turns_through_focus(triangles):
+    """At rotation 0 a corner points right behind focus; the mass lies to its left, and to its right in front."""
+    behind, front = (synthesize(spot_frame(32, 32, coc), CAMERA, triangles)[..., 0] for coc in (10.0, -10.0))
+    # The pixel's own normalisation by alpha leaves the shape.
+    assert np.argwhere(behind[32] > 0.5 * behind.max()).max() > 32 + 7
+    assert np.argwhere(front[32] > 0.5 * front.max()).min() < 32 - 7
+    np.testing.assert_allclose(front[1:, 1:], behind[1:, 1:][::-1, ::-1], atol=1e-3 * behind.max())
+
+
+def quiet(frame, database, **options):
+    with pytest.warns(UserWarning, match="another camera: f_number is 0.02, built for 5"):
+        return synthesize(frame, CAMERA, database, **options)
+
+
+@pytest.mark.parametrize("coc", [5.0, -5.0])
+def test_a_lens_blurs_the_corners_outwards_alike(lens, coc):
+    """Mirrored places have mirrored PSFs, so the four corners' images are each other's mirror images."""
+    image = quiet(spot_frame(8, 12, coc), lens)[..., :3]
+    for rows, cols in ((-1, 1), (1, -1), (-1, -1)):
+        row, col = (8 if rows > 0 else SIZE - 9), (12 if cols > 0 else SIZE - 13)
+        other = quiet(spot_frame(row, col, coc), lens)[..., :3]
+        np.testing.assert_allclose(other[::rows, ::cols], image, atol=0.02 * image.max())
+    transposed = quiet(spot_frame(12, 8, coc), lens)[..., :3]
+    np.testing.assert_allclose(transposed.swapaxes(0, 1), image, atol=0.02 * image.max())
+
+
+def test_a_lens_fringes_a_spot_with_colour_by_side(lens):
+    reach = []
+    for coc in (5.0, -5.0):
+        image = quiet(spot_frame(32, 32, coc), lens)[..., :3]
+        rows, cols = np.indices(image.shape[:2])
+        reach.append([np.average(np.hypot(rows - 32, cols - 32), weights=plane) for plane in image.T.swapaxes(1, 2)])
+    assert reach[0][2] > reach[0][0] and reach[1][0] > reach[1][2]
+
+
+@pytest.mark.parametrize("name, low, high", [("triangles", -11.0, 11.0), ("lens", 4.9, 5.1), ("lens", -5.1, -4.9)])
+def test_spreadlets_agree_with_the_same_psfs_in_full(request, name, low, high):
+    database, frame = request.getfixturevalue(name), noise_frame(low, high)
+    run = quiet if name == "lens" else lambda frame, database, **options: synthesize(frame, CAMERA, database, **options)
+    sparse, dense = run(frame, database), run(frame, database, method="dense")
+    assert ssim(sparse[..., :3], dense[..., :3]) > 0.99
+
+
+def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog):
+    frame = Frame(noise_frame(0, 0).radiance[..., :3], np.full((SIZE, SIZE), 3.0, np.float32))
+    near = Frame(frame.radiance[..., :3], np.full((SIZE, SIZE), 0.05, np.float32))
+    with pytest.warns(UserWarning, match="no axis 'coc'"):
+        sparse, dense, clear = (
+            synthesize(frame, CAMERA, fog),
+            synthesize(frame, CAMERA, fog, method="dense"),
+            synthesize(near, CAMERA, fog),
+        )
+    assert ssim(sparse[..., :3], dense[..., :3]) > 0.99
+    assert sparse[..., 1].std() < 0.8 * clear[..., 1].std()
+    assert sparse[..., 2].mean() < clear[..., 2].mean()
+
+
+def test_beyond_the_last_distance_the_last_cell_is_used(fog):
+    frame = spot_frame(32, 32, 0.0, depth=9.0)
+    with pytest.warns(UserWarning, match="100.00 % of the pixels lie beyond the database's largest distance, 4 m"):
+        far = synthesize(frame, CAMERA, fog, defocus=False)
+    with pytest.warns(UserWarning) as caught:
+        last = synthesize(spot_frame(32, 32, 0.0, depth=3.99), CAMERA, fog)
+    assert caught
+    np.testing.assert_array_equal(far, last)
