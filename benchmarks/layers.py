@@ -33,8 +33,8 @@ STEPS = ("plan", "splat", "integrate", "composite")
 TILE = 16
 BORDER_TILES = 2
 """Tiles at the border, where light from beyond it is missing in the input, that the second row leaves out."""
-HALO_ASKED = 0.05
-ASKED_SINGLE = {"coins": 0.97, "whirl": 0.97, "fence": 0.90}
+HALO_GOAL = 0.05
+GOAL_SINGLE = {"coins": 0.97, "whirl": 0.97, "fence": 0.90}
 NODES = {"coins": 0.927, "whirl": 0.965, "fence": 0.807}
 """Similarity of Blender's Defocus and Vector Blur nodes on the pinhole frame, from the frames' own notes."""
 
@@ -42,15 +42,15 @@ NODES = {"coins": 0.927, "whirl": 0.965, "fence": 0.807}
 def similarity(scene: Scene, database: sp.Database, report: Report) -> None:
     """Add the rows of a scene's synthesis, sparse and dense, and save its picture."""
     images = {}
-    for kind, frame, asked in (
+    for kind, frame, goal in (
         ("layered", scene.layered, 0.97),
-        ("single", scene.pinhole, ASKED_SINGLE[scene.name]),
+        ("single", scene.pinhole, GOAL_SINGLE[scene.name]),
     ):
         images[kind] = sp.synthesize(frame, scene.camera, database)
         dense = sp.synthesize(frame, scene.camera, database, method="dense")
         found, ceiling = (sp.metrics.ssim(each, scene.reference) for each in (images[kind], dense))
         nodes = NODES[scene.name] if kind == "single" else "-"
-        report.row(f"{scene.name}, {kind}", found, f">= {asked}", ceiling, ceiling - found, "<= 0.005", nodes)
+        report.row(f"{scene.name}, {kind}", found, f">= {goal}", ceiling, ceiling - found, "<= 0.005", nodes)
     save_pictures(RESULTS / f"layers_{scene.name}.png", [images["single"], images["layered"]], scene.reference)
 
 
@@ -63,7 +63,7 @@ def halo(scene: Scene, kind: str, frame: sp.Frame, database: sp.Database, report
             error = (means / expected - 1)[margin : means.shape[0] - margin, margin : means.shape[1] - margin]
             row, col = np.unravel_index(np.abs(error).argmax(), error.shape)
             place = f"({TILE * (row + margin)}, {TILE * (col + margin)})"
-            beyond = f"{np.count_nonzero(np.abs(error) > HALO_ASKED)} of {error.size}"
+            beyond = f"{np.count_nonzero(np.abs(error) > HALO_GOAL)} of {error.size}"
             title = f"{scene.name}, {kind}, {values}, {where}"
             report.row(title, f"{100 * error[row, col]:+.1f} %", place, beyond, width=18, first=34)
 
@@ -126,7 +126,7 @@ def time_rows(folder: Path, scenes: list[Scene], rounds: int, database: sp.Datab
     for name, each in found.items():
         first = each[0]["total"]
         report.row(name, *(medians["total"] / first for medians in each), f"{1000 * first:.0f}")
-    report.add("(asked: <= 1.6 from 1 to 8 layers)")
+    report.add("(goal: <= 1.6 from 1 to 8 layers)")
     report.add()
     report.row("ms at 1 -> 8 layers", *STEPS, width=16)
     one, eight = COUNTS.index(1), COUNTS.index(8)
@@ -159,7 +159,7 @@ def main() -> None:
         return
     report, curves = Report(), {}
     with sp.open_database("combined") as database:
-        report.row("synthesis, SSIM", "ours", "asked", "dense", "loss", "asked", "nodes")
+        report.row("synthesis, SSIM", "ours", "goal", "dense", "loss", "goal", "nodes")
         for scene in found:
             similarity(scene, database, report)
         report.add()
@@ -168,7 +168,7 @@ def main() -> None:
             curves[scene.name] = by_number(scene, database)
             for name, values in curves[scene.name].items():
                 report.row(f"{scene.name}, {name}, SSIM", *values)
-        report.add("(asked: layering beats 1 layer, the plain sum, on each frame; default: soft)")
+        report.add("(goal: layering beats 1 layer, the plain sum, on each frame; default: soft)")
         report.add()
         report.row("slanted plane, layers", *COUNTS[1:])
         seams(database, report)
@@ -177,7 +177,7 @@ def main() -> None:
         report.row("worst 16 x 16 tile mean", "error", "tile (row, col)", "beyond 5 %", width=18, first=34)
         halo(found[-1], "layered", found[-1].layered, database, report)
         halo(found[-1], "single", found[-1].pinhole, database, report)
-        report.add(f"(asked: within 5 %; inside: {BORDER_TILES * TILE} px and more from the border)")
+        report.add(f"(goal: within 5 %; inside: {BORDER_TILES * TILE} px and more from the border)")
         report.add()
         time_rows(given.frames, found, given.rounds, database, report)
     report.save("layers.txt")

@@ -66,7 +66,8 @@ def save_pictures(path: Path, images: list[np.ndarray], reference: np.ndarray, s
 
     The difference is of displayed values: grey is none, brighter is where the image is too bright.
     """
-    shown = [display_encode(image[..., :3]) for image in (*images, reference)]
+    rows, cols = (side - side % shrink for side in reference.shape[:2])
+    shown = [display_encode(image[:rows, :cols, :3]) for image in (*images, reference)]
     small = [downscale_local_mean(image, (shrink, shrink, 1)) for image in shown]
     difference = np.clip(0.5 + DIFFERENCE_GAIN * (small[0] - small[-1]), 0, 1)
     small.append(np.rint(DIFFERENCE_LEVELS * difference) / DIFFERENCE_LEVELS)
