@@ -240,7 +240,7 @@ def reconstruct(
     with clock.step("plan"):
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         plan = plan_pixels(passes, database, options.settings(options.n_layers or layers.DEFAULT_LAYERS, border=True))
-        view = _PassingSamples(samples, camera, passes, plan)
+        view = _PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
     tally = Tally()
@@ -285,18 +285,30 @@ class _PassingSamples:
     kind = COUNT
     least = LEAST_SAMPLES
 
-    def __init__(self, samples: SampleBuffer, camera: ThinLens, passes: Sequence[Pixels], plan: Plan) -> None:
-        self.passes = passes
+    def __init__(
+        self, samples: SampleBuffer, camera: ThinLens, passes: Sequence[Pixels], plan: Plan, *, defocus: bool
+    ) -> None:
         self.members = []
         for number, members in enumerate(plan.members):
             met_nothing = samples.valid[:, :, number] & (samples.radiance[:, :, number, 3] == 0)
-            layer = np.where(met_nothing, np.int32(layers.BEHIND_ALL), members.layer)
+            layer = np.where(samples.valid[:, :, number], members.layer, np.int32(0))  # a missing one passes nothing
+            layer = np.where(met_nothing, np.int32(layers.BEHIND_ALL), layer)
             self.members.append(members._replace(layer=layer))
-        motion = [np.ascontiguousarray(samples.motion[:, :, number]) for number in range(samples.n_samples)]
-        self.moments = layers.layer_moments(
-            [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], plan.n_layers
-        )
         self.samples, self.camera = samples, camera
+        self.moments = self._moments(passes, plan.n_layers)
+        if not defocus:
+            # They passed the layers through the lens that took them, even where its blur is taken out of the image.
+            taken = self._moments(sample_pixels(samples, camera, defocus=True, motion=False), plan.n_layers)
+            self.moments = [
+                None if mean is None or through is None else mean._replace(coc=through.coc)
+                for mean, through in zip(self.moments, taken, strict=True)
+            ]
+
+    def _moments(self, passes: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
+        motion = np.ascontiguousarray(np.moveaxis(self.samples.motion, 2, 0))
+        return layers.layer_moments(
+            [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], n_layers
+        )
 
     def seen(self, number: int) -> Image | None:
         """Return the number of samples that passed a layer."""
