@@ -17,7 +17,7 @@ import numpy as np
 
 import spreadlets as sp
 from precompute.build import build_database, model_grid
-from runtime.render import synthesize
+from runtime.render import Options, synthesize
 from runtime.variant import DensePsf
 from spreadlets.api import _dense_psf
 from spreadlets.database import Database, open_database
@@ -88,7 +88,7 @@ def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsf)
         warnings.simplefilter("ignore")
         sp.synthesize(frame, camera, database)
         image, report = sp.synthesize(frame, camera, database, report=True)
-        dense, dense_report = synthesize(frame, camera, database, dense_psf=dense_psf)
+        dense, dense_report = synthesize(frame, camera, database, Options(dense_psf=dense_psf))
     figures = sp.metrics.compare(image, dense)
     splat, dense_splat = (each["time_s"]["splat"] + each["time_s"]["integrate"] for each in (report, dense_report))
     points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import ndimage
 
 import spreadlets as sp
-from runtime.render import Clock, synthesize
+from runtime.render import Clock, Options, synthesize
 from spreadlets.api import DensePsfs
 
 RESULTS = Path(__file__).parent / "results"
@@ -107,7 +107,7 @@ class DenseCache:
         return self.known[key]
 
 
-def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: float) -> str:
+def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: float, layers: int) -> str:
     """Return a row of the table for one frame."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frame.h5"
@@ -117,19 +117,19 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
         sp.build_database("combined", path, frames=[frame], camera=camera, **sizes)
         with sp.open_database(path) as database:
             options = {
-                "dense": {"dense_psf": DenseCache(database, by_rows=False)},
-                "rows": {"dense_psf": DenseCache(database, by_rows=True)},
-                "exact": {"tolerance": 0.0},
-                "default": {},
+                "dense": Options(dense_psf=DenseCache(database, by_rows=False), n_layers=layers),
+                "rows": Options(dense_psf=DenseCache(database, by_rows=True), n_layers=layers),
+                "exact": Options(tolerance=0.0, n_layers=layers),
+                "default": Options(n_layers=layers),
             }
             for each in options.values():
-                synthesize(frame, camera, database, **each)
+                synthesize(frame, camera, database, each)
             times: dict[str, list[dict[str, float]]] = {method: [] for method in options}
             results = {}
             for _ in range(rounds):
                 for method, each in options.items():
                     clock = Clock()
-                    image, report = synthesize(frame, camera, database, clock=clock, **each)
+                    image, report = synthesize(frame, camera, database, each, clock)
                     times[method].append(clock.times())
                     results[method] = image, report["plan"]
     steps = {m: {s: statistics.median(t[s] for t in each) for s in each[0]} for m, each in times.items()}
@@ -153,6 +153,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--layers", type=int, default=1, help="depth layers; 1 compares drawing alone")
     parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
     parser.add_argument("--only", help="rows whose name contains this")
     arguments = parser.parse_args()
@@ -169,12 +170,12 @@ def main() -> None:
         name = f"{kind} {radius} + {motion}"
         if arguments.only in (None, "") or arguments.only in name:
             frame = synthetic(arguments.size, kind, radius, motion)
-            lines.append(measure(name, frame, CAMERA, arguments.rounds, unit))
+            lines.append(measure(name, frame, CAMERA, arguments.rounds, unit, arguments.layers))
             print(lines[-1], flush=True)
     for scene in SCENES if (arguments.frames / "coins_pinhole.exr").exists() else ():
         if arguments.only in (None, "") or arguments.only in scene:
             frame, camera = rendered(arguments.frames, scene, arguments.size)
-            lines.append(measure(scene, frame, camera, arguments.rounds, unit))
+            lines.append(measure(scene, frame, camera, arguments.rounds, unit, arguments.layers))
             print(lines[-1], flush=True)
     if arguments.only is None:
         (RESULTS / "speed.txt").write_text("\n".join(lines) + "\n")
