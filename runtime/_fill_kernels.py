@@ -73,17 +73,26 @@ def add_layer(image, padded, top, left, seen, kind):
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def take_sums(padded, top, left, seen, kind, sums):
-    """Fill ``sums`` (H, W, 5), float32, with a layer's sums and their measure; arguments as for `add_layer`."""
+def pull_sums(padded, top, left, seen, kind, shape, coarse):
+    """Fill ``coarse`` (H / 2, W / 2, 5), float32, with a layer's sums and their measure over 2 x 2 pixels.
+
+    Other arguments are those of `add_layer`; ``shape`` is that of its image.
+    """
     rows, cols = padded.shape[:2]
-    for row in numba.prange(sums.shape[0]):
-        for col in range(sums.shape[1]):
-            i, j = row - top, col - left
-            inside = 0 <= i < rows and 0 <= j < cols
-            for c in range(4):
-                sums[row, col, c] = padded[i, j, c] if inside else np.float32(0.0)
-            share = seen[row, col] if seen.shape[0] else np.float32(1.0)
-            sums[row, col, 4] = _measure(sums[row, col, 3], share, kind)
+    for row in numba.prange(coarse.shape[0]):
+        for col in range(coarse.shape[1]):
+            red = green = blue = weight = measure = np.float32(0.0)
+            for y in range(2 * row, min(2 * row + 2, shape[0])):
+                for x in range(2 * col, min(2 * col + 2, shape[1])):
+                    i, j = y - top, x - left
+                    own = np.float32(0.0)
+                    if 0 <= i < rows and 0 <= j < cols:
+                        own = padded[i, j, 3]
+                        red, green, blue = red + padded[i, j, 0], green + padded[i, j, 1], blue + padded[i, j, 2]
+                    weight += own
+                    measure += _measure(own, seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
+            out = coarse[row, col]
+            out[0], out[1], out[2], out[3], out[4] = red, green, blue, weight, measure
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -103,6 +112,19 @@ def pull(fine, coarse):
                 coarse[row, col, c] = total
 
 
+@numba.njit(cache=True, fastmath=False)
+def _interpolate(coarse, row, col, c):
+    """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one."""
+    height, width = coarse.shape[:2]
+    near_row, near_col = row // 2, col // 2
+    next_row = min(max(near_row + (1 if row % 2 else -1), 0), height - 1)
+    next_col = min(max(near_col + (1 if col % 2 else -1), 0), width - 1)
+    quarter = np.float32(0.25)
+    near = coarse[near_row, near_col, c] + quarter * (coarse[near_row, next_col, c] - coarse[near_row, near_col, c])
+    far = coarse[next_row, near_col, c] + quarter * (coarse[next_row, next_col, c] - coarse[next_row, near_col, c])
+    return near + quarter * (far - near)
+
+
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def push(fine, coarse, least):
     """Divide ``fine`` by its measure where there is enough of it, and fill the rest from ``coarse``, in place.
@@ -116,35 +138,36 @@ def push(fine, coarse, least):
     least : float32
         Measure from which a pixel stands for itself; below, the rest to this measure is filled.
     """
-    height, width = coarse.shape[:2]
-    one, quarter = np.float32(1.0), np.float32(0.25)
     for row in numba.prange(fine.shape[0]):
-        near_row = row // 2
-        next_row = min(max(near_row + (1 if row % 2 else -1), 0), height - 1)
         for col in range(fine.shape[1]):
             measure = fine[row, col, 4]
             if measure >= least:
                 for c in range(5):
                     fine[row, col, c] /= measure
                 continue
-            missing = one - measure / least
-            near_col = col // 2
-            next_col = min(max(near_col + (1 if col % 2 else -1), 0), width - 1)
+            missing = np.float32(1.0) - measure / least
             for c in range(5):
-                near = coarse[near_row, near_col, c] + quarter * (
-                    coarse[near_row, next_col, c] - coarse[near_row, near_col, c]
-                )
-                far = coarse[next_row, near_col, c] + quarter * (
-                    coarse[next_row, next_col, c] - coarse[next_row, near_col, c]
-                )
-                fine[row, col, c] = fine[row, col, c] / least + missing * (near + quarter * (far - near))
+                fine[row, col, c] = fine[row, col, c] / least + missing * _interpolate(coarse, row, col, c)
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def add_filled(image, filled, kind):
-    """Put a filled layer (H, W, 5) behind an image (H, W, 4), in place."""
+def add_filled(image, padded, top, left, seen, kind, coarse, least):
+    """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
+    rows, cols = padded.shape[:2]
+    zero, one = np.float32(0.0), np.float32(1.0)
     for row in numba.prange(image.shape[0]):
+        each = np.empty(4, np.float32)
         for col in range(image.shape[1]):
-            each = filled[row, col]
-            alpha = min(max(each[3], np.float32(0.0)), np.float32(1.0))
-            _blend(image[row, col], each[0], each[1], each[2], alpha, kind == LAST)
+            if image[row, col, 3] >= one:
+                continue
+            i, j = row - top, col - left
+            inside = 0 <= i < rows and 0 <= j < cols
+            measure = _measure(padded[i, j, 3] if inside else zero, seen[row, col] if seen.shape[0] else one, kind)
+            scale = one / max(measure, least)
+            for c in range(4):
+                each[c] = scale * padded[i, j, c] if inside else zero
+            if measure < least:
+                missing = one - measure / least
+                for c in range(4):
+                    each[c] += missing * _interpolate(coarse, row, col, c)
+            _blend(image[row, col], each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)

@@ -129,6 +129,35 @@ def rows_of_points(offset_rc, point_start, reach, base, first):
             first[base[variant] + k] = p
 
 
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def point_offsets(offset_rc, cols, offsets):
+    """Turn offsets into places in flattened images of strides 1, 2 and 4, see `_spread`.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+    cols : int
+        Columns of the images, a multiple of 4.
+    offsets : ndarray of shape (3, n_points), int64
+        Filled, in floats.
+    """
+    for p in numba.prange(offset_rc.shape[0]):
+        row, col = np.int64(offset_rc[p, 0]) * 4 * cols, np.int64(offset_rc[p, 1])
+        offsets[0, p] = row + 4 * col
+        # Shifts and masks take the floor of negative columns, too.
+        offsets[1, p] = row + 4 * ((col & 1) * (cols >> 1) + (col >> 1))
+        offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _runs_near(level, first_row, n_rows, farthest):
+    """Return the runs of a level that may reach ``n_rows`` rows of the canvas from ``first_row`` on: first, end."""
+    _, _, row_start = level
+    rows = row_start.shape[0] - 1
+    first = row_start[min(max(first_row - farthest, 0), rows)]
+    return first, row_start[min(max(first_row + n_rows + farthest, 0), rows)]
+
+
 @numba.njit(cache=True, fastmath=False)
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
@@ -171,13 +200,11 @@ def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, 
 @numba.njit(cache=True, fastmath=False)
 def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
     """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
-    radiance, runs, row_start = level
+    radiance, runs, _ = level
     _, first, base, reach = points
     top, left, pitch, farthest = canvas
-    rows = row_start.shape[0] - 1
-    first_run = row_start[min(max(first_row - farthest, 0), rows)]
-    last_run = row_start[min(max(first_row + n_rows + farthest, 0), rows)]
-    for i in range(first_run, last_run):
+    first_run, end_run = _runs_near(level, first_row, n_rows, farthest)
+    for i in range(first_run, end_run):
         variant = runs[i, 4]
         row = runs[i, 1] - top - first_row
         last = 2 * reach[variant] + 1
@@ -255,8 +282,8 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     levels : tuple of three (radiance, runs, row_start)
         For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
         (rows + 1,), int64, where the runs of each row of the image begin.
-    offsets : tuple of three ndarrays of shape (n_points,), int64
-        Offset of each point in floats of a flattened image of strides 1, 2 and 4, see `_spread`.
+    offsets : ndarray of shape (3, n_points), int64
+        See `point_offsets`.
     points : tuple of four ndarrays
         ``point_start``; and ``first``, ``base``, ``reach`` of `rows_of_points`.
     value : ndarray of shape (n_points, C), float32
@@ -273,10 +300,8 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     rows, pitch = image.shape
     # Tuples of unlike arrays cannot enter a parallel loop whole.
     (colour_1, runs_1, start_1), (colour_2, runs_2, start_2), (colour_4, runs_4, start_4) = levels
-    offset_1, offset_2, offset_4 = offsets
     point_start, first, base, reach = points
     top, left, _, farthest = canvas
-    merged = len(runs_2) + len(runs_4) > 0
     for band in numba.prange((rows + band_rows - 1) // band_rows):
         begin = band * band_rows
         n_rows = min(band_rows, rows - begin)
@@ -285,17 +310,21 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
         target = image[begin : begin + n_rows].reshape(n_rows * pitch)
         if fresh:
             target[:] = np.float32(0.0)
-        if merged:
+        level_2, level_4 = (colour_2, runs_2, start_2), (colour_4, runs_4, start_4)
+        first_2, end_2 = _runs_near(level_2, begin - 1, n_rows + 1, farthest)
+        first_4, end_4 = _runs_near(level_4, begin - 3, n_rows + 3, farthest)
+        if first_2 < end_2 or first_4 < end_4:
             own = numba.get_thread_id()
-            fours = scratch[own, 0].reshape(scratch.shape[2] * pitch)
             twos = scratch[own, 1].reshape(scratch.shape[2] * pitch)
-            fours[: (n_rows + 3) * pitch] = np.float32(0.0)
             twos[: (n_rows + 1) * pitch] = np.float32(0.0)
-            _draw_rows(fours, begin - 3, n_rows + 3, (colour_4, runs_4, start_4), 4, offset_4, table, value, place)
-            _spread(twos, fours, n_rows + 1, 4, pitch)
-            _draw_rows(twos, begin - 1, n_rows + 1, (colour_2, runs_2, start_2), 2, offset_2, table, value, place)
+            if first_4 < end_4:
+                fours = scratch[own, 0].reshape(scratch.shape[2] * pitch)
+                fours[: (n_rows + 3) * pitch] = np.float32(0.0)
+                _draw_rows(fours, begin - 3, n_rows + 3, level_4, 4, offsets[2], table, value, place)
+                _spread(twos, fours, n_rows + 1, 4, pitch)
+            _draw_rows(twos, begin - 1, n_rows + 1, level_2, 2, offsets[1], table, value, place)
             _spread(target, twos, n_rows, 2, pitch)
-        _draw_rows(target, begin, n_rows, (colour_1, runs_1, start_1), 1, offset_1, table, value, place)
+        _draw_rows(target, begin, n_rows, (colour_1, runs_1, start_1), 1, offsets[0], table, value, place)
 
 
 @numba.njit(cache=True, fastmath=False)

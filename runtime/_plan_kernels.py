@@ -279,7 +279,8 @@ def extend_frame(frame, colours, reach, origin, extended):
     origin : tuple of two ints
         Row and column, in the frame, of the first extended pixel.
     extended : tuple of three ndarrays
-        Colours, labels and shifts of the extended frame; filled, labels with -1 where nothing is drawn.
+        Colours, labels and shifts of the extended frame; filled, labels with -1 where nothing is drawn. There, colours
+        stay as they were.
     """
     radiance, share, label, shift = frame
     above, below, before, behind = colours
@@ -297,6 +298,9 @@ def extend_frame(frame, colours, reach, origin, extended):
                 out_shift[i, j, 1] = shift[row, col, 1]
             weight = share[row, col] if share.shape[0] else np.float32(1.0)
             distance = max(abs(down - row), abs(right - col))
+            if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
+                out_label[i, j] = -1
+                continue
             if distance == 0:
                 out_label[i, j] = index
                 for c in range(4):
@@ -309,7 +313,6 @@ def extend_frame(frame, colours, reach, origin, extended):
             else:
                 colour = before[row] if right < 0 else behind[row]
             dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
-            drawn = index >= 0 and not dark and distance <= reach[index % len(reach)]
-            out_label[i, j] = index if drawn else -1
+            out_label[i, j] = -1 if dark else index
             for c in range(4):
                 out_radiance[i, j, c] = weight * colour[c]

@@ -53,17 +53,22 @@ def add_layer(
     if not _fill_kernels.count_unseen(padded, *origin, seen, kind, bound, image.shape[:2]):
         _fill_kernels.add_layer(image, padded, *origin, seen, kind)
         return
-    levels = [np.empty((*image.shape[:2], 5), np.float32)]
-    _fill_kernels.take_sums(padded, *origin, seen, kind, levels[0])
+    levels = [_half_size(image)]
+    _fill_kernels.pull_sums(padded, *origin, seen, kind, image.shape[:2], levels[0])
     while max(levels[-1].shape[:2]) > 1:
-        height, width = levels[-1].shape[:2]
-        levels.append(np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32))
+        levels.append(_half_size(levels[-1]))
         _fill_kernels.pull(levels[-2], levels[-1])
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
         _fill_kernels.push(fine, coarse, bound)
-    _fill_kernels.add_filled(image, levels[0], kind)
+    _fill_kernels.add_filled(image, padded, *origin, seen, kind, levels[0], bound)
+
+
+def _half_size(image: Image) -> Image:
+    """Return room for sums and their measure over 2 x 2 pixels of an image."""
+    height, width = image.shape[:2]
+    return np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32)
 
 
 def is_opaque(radiance: Image) -> bool:

@@ -13,6 +13,7 @@ from spreadlets.camera import ThinLens
 from spreadlets.frame import Layer
 
 Image = npt.NDArray[np.float32]
+Place = npt.NDArray[np.int_]
 
 LEAST_GAP = 1.0
 """Difference of CoC radii, px, from which two surfaces are worth telling apart."""
@@ -44,18 +45,24 @@ def split_depth_edges(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, I
     if not _edge_kernels.find_blends(layer.depth, layer.radiance, scale, LEAST_GAP, FLATNESS, near, far, share):
         yield layer, None
         return
-    yield _relabelled(layer, far), np.float32(1) - share
-    yield _relabelled(layer, near), share
+    blends = np.nonzero(share)
+    yield _relabelled(layer, blends, tuple(far[blends].T)), np.float32(1) - share
+    yield _relabelled(layer, blends, tuple(near[blends].T)), share
 
 
-def _relabelled(layer: Layer, place: npt.NDArray[np.int32]) -> Layer:
-    """Return the layer with each pixel's labels taken from a given place (row, col)."""
-    rows, cols = place[..., 0], place[..., 1]
+def _relabelled(layer: Layer, blends: tuple[Place, ...], surface: tuple[Place, ...]) -> Layer:
+    """Return the layer with the labels of blends, at (rows, cols), taken from a surface beside them."""
+
+    def relabel(labels: Image) -> Image:
+        labels = labels.copy()
+        labels[blends] = labels[surface]
+        return labels
+
     before, after = layer.motion_prev, layer.motion_next
     return replace(
         layer,
-        depth=layer.depth[rows, cols],
-        motion=layer.motion[rows, cols],
-        motion_prev=None if before is None else before[rows, cols],
-        motion_next=None if after is None else after[rows, cols],
+        depth=relabel(layer.depth),
+        motion=relabel(layer.motion),
+        motion_prev=None if before is None else relabel(before),
+        motion_next=None if after is None else relabel(after),
     )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _layer_kernels, _plan_kernels
-from runtime.border import border_colours, extended_pass
+from runtime.border import Colours, border_colours, extended_pass
 from runtime.layers import DEFAULT_SOFTNESS, Layering, Membership
 from runtime.merge import merge_blocks
 from runtime.pixels import Pixels, frame_pixels
@@ -137,10 +137,11 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     labels = [each.labels for each in passes]
     layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
+    beyond = _border_colours(passes) if settings.border else [None] * len(passes)
     splats = [
         splat
-        for pixels, member in zip(passes, members, strict=True)
-        for splat in _splat_passes(pixels, member, layering.n_layers, table, settings.border)
+        for pixels, member, colours in zip(passes, members, beyond, strict=True)
+        for splat in _splat_passes(pixels, member, layering.n_layers, table, colours)
     ]
     variation = np.tile(_variation(variants, table, database), layering.n_layers)
     merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
@@ -249,13 +250,19 @@ def _point_table(
     )
 
 
+def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
+    """Return the colours beyond the border of each pass; passes often share their colours."""
+    found = {id(pixels.radiance): pixels.radiance for pixels in passes}
+    colours = {key: border_colours(radiance) for key, radiance in found.items()}
+    return [colours[id(pixels.radiance)] for pixels in passes]
+
+
 def _splat_passes(
-    pixels: Pixels, members: Membership, n_layers: int, table: PointTable, border: bool
+    pixels: Pixels, members: Membership, n_layers: int, table: PointTable, colours: Colours | None
 ) -> Iterator[SplatPass]:
     """Split pixels by layer, and by the fractional part of their shifts; continue them beyond the border."""
     if not (members.variant >= 0).any():
         return
-    colours = border_colours(pixels.radiance) if border else None
     for label, weight in _parts(pixels, members, n_layers, table.n_variants):
         for share, shift in _corners(pixels.labels.shift, label, weight):
             reach = table.reaches + int(np.abs(shift).max(initial=0))

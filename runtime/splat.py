@@ -188,9 +188,9 @@ def splat_laplacian(
     by_stride = {each.source.stride: each for each in levels}
     nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
     drawn = tuple(_level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES)
-    row, col = table.offset_rc.T.astype(np.int64)
     pitch = 4 * canvas.cols
-    offsets = tuple(row * pitch + 4 * ((col % stride) * (canvas.cols // stride) + col // stride) for stride in STRIDES)
+    offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
+    _kernels.point_offsets(table.offset_rc, canvas.cols, offsets)
     scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
