@@ -15,7 +15,7 @@ from spreadlets.labels import Labels
 
 Image = npt.NDArray[np.float32]
 
-DEFAULT_LAYERS = 6
+DEFAULT_LAYERS = 4
 """Layers of a frame that comes without any."""
 MAX_LAYERS = 64
 DEFAULT_SOFTNESS = 1.0
