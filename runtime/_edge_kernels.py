@@ -53,7 +53,7 @@ def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
     flatness : float
         Largest difference of a neighbour's CoC radius from that of its next, as a share of the gap.
     near, far : ndarray of shape (H, W, 2), int32
-        Filled with row and column of the neighbours; those of the pixel itself where it is no blend.
+        Filled, for blends only, with row and column of the neighbours.
     share : ndarray of shape (H, W), float32
         Filled with the share of the nearer surface; 0 where the pixel is no blend.
 
@@ -66,8 +66,6 @@ def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
     count = 0
     for row in numba.prange(height):
         for col in range(width):
-            near[row, col, 0], near[row, col, 1] = row, col
-            far[row, col, 0], far[row, col, 1] = row, col
             share[row, col] = 0.0
             if not (2 <= row < height - 2 and 2 <= col < width - 2):
                 continue

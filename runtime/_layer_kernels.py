@@ -136,27 +136,37 @@ def seen_share(variant, layer, farther, number, seen):
 
 
 @numba.njit(cache=True, fastmath=False)
-def scatter_passing(variant, layer, farther, number, place, passing):
+def scatter_passing(members, number, sample, moments, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 
     Parameters
     ----------
-    variant, layer, farther : ndarray of shape (H, W)
-        As for `layer_labels`.
+    members : tuple of ndarrays of shape (H, W)
+        Variant, layer and share of the next one, as for `layer_labels`.
     number : int
         The layer.
-    place : ndarray of shape (H, W, 2), float32
-        Position (x, y) at which each sample passes the layer, px.
-    passing : ndarray of shape (H, W), float32
+    sample : tuple of ndarrays of shapes (H, W, 2), (H, W, 2) and (H, W), float32
+        Where in its pixel each sample was seen, (dx, dy); its place on the lens, and in time from the shutter's centre.
+    moments : tuple of three floats
+        CoC radius of the layer, px, and its motion (dx, dy).
+    padding : int
+        The nearest samples repeat so far beyond the border.
+    passing : ndarray of shape (H + 2 padding, W + 2 padding), float32
         Accumulated in place; what lies outside is dropped.
     """
+    variant, layer, farther = members
+    offset, lens_uv, time = sample
+    coc, motion_x, motion_y = moments
     height, width = passing.shape
-    for row in range(variant.shape[0]):
-        for col in range(variant.shape[1]):
+    for padded_row in range(height):
+        row = min(max(padded_row - padding, 0), variant.shape[0] - 1)
+        for padded_col in range(width):
+            col = min(max(padded_col - padding, 0), variant.shape[1] - 1)
             weight = np.float32(1.0) - _share_before(layer[row, col], farther[row, col], number + 1)
             if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
                 continue
-            x, y = place[row, col, 0], place[row, col, 1]
+            x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0] - motion_x * time[row, col]
+            y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1] - motion_y * time[row, col]
             left, top = math.floor(x), math.floor(y)
             if left < -1 or top < -1 or left >= width or top >= height:
                 continue

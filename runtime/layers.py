@@ -129,21 +129,16 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
     """
-    motion = np.array(moments.motion, np.float32)
-    moved = [
-        (members, offset - np.float32(moments.coc) * lens_uv - motion * time[..., None])
-        for members, offset, lens_uv, time in passes
-    ]
-    farthest = max(float(np.abs(offset).max()) for _, offset in moved)
+    farthest = max(
+        float(np.abs(offset).max()) + abs(moments.coc) + max(map(abs, moments.motion)) * float(np.abs(time).max())
+        for _, offset, _, time in passes
+    )
     padding = 2 * moments.box_half_width() + math.ceil(farthest) + 1
-    sides = ((padding, padding), (padding, padding))
     height, width = passes[0][0].variant.shape
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
-    grid = np.stack(np.meshgrid(np.arange(passing.shape[1]), np.arange(passing.shape[0])), axis=-1)
-    for members, offset in moved:
-        place = grid.astype(np.float32) + np.pad(offset, (*sides, (0, 0)), mode="edge")
-        variant, layer, farther = (np.pad(each, sides, mode="edge") for each in members)
-        _layer_kernels.scatter_passing(variant, layer, farther, number, place, passing)
+    layer = moments.coc, *moments.motion
+    for members, *sample in passes:
+        _layer_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
     _blur(passing, moments, repeat=False)
     return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
 

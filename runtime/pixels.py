@@ -45,8 +45,8 @@ def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool)
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
     Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.depth_edges`. Paths that are
-    curved (the motion before the frame's time differs from that after it) become chords of the parabola through the
-    three positions, each with its share of the shutter.
+    curved (the motion before the frame's time differs from that after it) become chords of the curve through the three
+    positions, each with its share of the shutter.
     """
     passes = []
     for surface, share in split_depth_edges(layer, camera):
@@ -96,10 +96,9 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
 
 def _chords(layer: Layer, camera: ThinLens, straight: Labels, count: int) -> Iterator[Labels]:
     """Yield the labels of the chords between equal steps of the shutter's time."""
-    assert layer.motion_prev is not None and layer.motion_next is not None
-    acceleration = layer.motion_next - layer.motion_prev
-    times = np.linspace(*camera.shutter, count + 1)
-    places = [layer.motion * np.float32(time) + acceleration * np.float32(0.5 * time**2) for time in times]
+    places = np.empty((count + 1, *layer.motion.shape), np.float32)
+    for time, place in zip(np.linspace(*camera.shutter, count + 1), places, strict=True):
+        _plan_kernels.path_places(layer.motion_prev, layer.motion_next, time, place)
     for begin, end in zip(places[:-1], places[1:], strict=True):
         path = end - begin
         length = np.empty(layer.shape, np.float32)

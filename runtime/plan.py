@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -33,6 +34,9 @@ SHARP_EXTENT = 0.5
 NEVER_SHARP = -1.0
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
+WIDE_REACH = 8
+"""Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
+it is the mean of many such errors that counts."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Settings:
         Depth layers.
     softness : float
         See `runtime.layers.Layering`.
+    stochastic : bool
+        Whether the pixels are stochastic samples.
     """
 
     tolerance: float = DEFAULT_TOLERANCE
@@ -58,6 +64,7 @@ class Settings:
     border: bool = True
     n_layers: int = 1
     softness: float = DEFAULT_SOFTNESS
+    stochastic: bool = False
 
 
 @dataclass
@@ -137,11 +144,12 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     labels = [each.labels for each in passes]
     layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
+    wide = table.reaches > (WIDE_REACH if settings.stochastic else math.inf)
     beyond = _border_colours(passes) if settings.border else [None] * len(passes)
     splats = [
         splat
         for pixels, member, colours in zip(passes, members, beyond, strict=True)
-        for splat in _splat_passes(pixels, member, layering.n_layers, table, colours)
+        for splat in _splat_passes(pixels, member, layering.n_layers, table, colours, wide)
     ]
     variation = np.tile(_variation(variants, table, database), layering.n_layers)
     merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
@@ -258,13 +266,18 @@ def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
 
 
 def _splat_passes(
-    pixels: Pixels, members: Membership, n_layers: int, table: PointTable, colours: Colours | None
+    pixels: Pixels,
+    members: Membership,
+    n_layers: int,
+    table: PointTable,
+    colours: Colours | None,
+    wide: npt.NDArray[np.bool_],
 ) -> Iterator[SplatPass]:
     """Split pixels by layer, and by the fractional part of their shifts; continue them beyond the border."""
     if not (members.variant >= 0).any():
         return
     for label, weight in _parts(pixels, members, n_layers, table.n_variants):
-        for share, shift in _corners(pixels.labels.shift, label, weight):
+        for share, shift in _corners(pixels.labels.shift, label, weight, wide):
             reach = table.reaches + int(np.abs(shift).max(initial=0))
             drawn = label if share is weight else np.where(share > 0, label, -1).astype(np.int32)
             if (drawn >= 0).any():
@@ -286,13 +299,22 @@ def _parts(
 
 
 def _corners(
-    shift: npt.NDArray[np.float32] | None, label: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
+    shift: npt.NDArray[np.float32] | None,
+    label: npt.NDArray[np.int32],
+    weight: npt.NDArray[np.float32],
+    wide: npt.NDArray[np.bool_],
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]:
-    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies."""
+    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies.
+
+    The centres of wide variants are moved to the next pixel.
+    """
     if shift is None:
         yield weight, NO_SHIFT
         return
-    steps = np.rint(shift[..., ::-1].astype(np.float64) * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
+    places = shift[..., ::-1].astype(np.float64)
+    if wide.any():
+        places = np.where(wide[label % len(wide)][..., None], np.rint(places), places)
+    steps = np.rint(places * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
     steps[label < 0] = 0
     whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
     between = (fraction / SHIFT_STEPS_PER_PIXEL).astype(np.float32)

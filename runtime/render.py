@@ -18,6 +18,7 @@ import numpy.typing as npt
 from runtime import layers
 from runtime.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
+from runtime.fireflies import NO_SHIFT, clamp_fireflies
 from runtime.pixels import Pixels, frame_pixels, sample_pixels
 from runtime.plan import DEFAULT_TOLERANCE, Plan, Settings, plan_pixels
 from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian, sum_rows
@@ -25,7 +26,7 @@ from runtime.variant import DensePsf
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame
+from spreadlets.frame import Frame, Layer
 from spreadlets.labels import view_differences
 from spreadlets.sample_buffer import SampleBuffer
 
@@ -85,6 +86,7 @@ class Tally:
         self.plans: list[Plan] = []
         self.layers = 0
         self.padding = 0
+        self.clamped = 0
 
     def add_plan(self, plan: Plan, n_layers: int) -> None:
         """Add a plan and how many layers it drew."""
@@ -115,6 +117,8 @@ class Options:
         Depth layers; by default those that the frame has, or a usual number if it has none.
     softness : float
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft).
+    firefly_clamp : float or None
+        How many times as bright as any other within a pixel of where it comes from a sample may be; None for any.
     dense_psf : callable or None
         If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
     filtering : bool
@@ -128,6 +132,7 @@ class Options:
     tolerance: float = DEFAULT_TOLERANCE
     n_layers: int | None = None
     softness: float = layers.DEFAULT_SOFTNESS
+    firefly_clamp: float | None = None
     dense_psf: DensePsf | None = None
     filtering: bool = False
 
@@ -142,6 +147,8 @@ class Options:
             raise InvalidParameterError(f"layers is {self.n_layers}: allowed are 1 to {layers.MAX_LAYERS}")
         if not 0.0 <= self.softness <= 1.0:
             raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
+        if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
+            raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, or none")
 
     def solver(self) -> Solver:
         """Return what makes images from what is splatted."""
@@ -149,9 +156,9 @@ class Options:
             return sum_rows
         return partial(integrate, method=self.integrator, cycles=self.cycles)
 
-    def settings(self, n_layers: int, *, border: bool) -> Settings:
+    def settings(self, n_layers: int, *, border: bool = True, stochastic: bool = False) -> Settings:
         """Return the settings of the plan."""
-        return Settings(self.tolerance, self.dense_psf, border, n_layers, self.softness)
+        return Settings(self.tolerance, self.dense_psf, border, n_layers, self.softness, stochastic)
 
 
 def synthesize(
@@ -187,19 +194,21 @@ def synthesize(
     options, clock = options or Options(), clock or Clock()
     _warn_about_view(database, camera, frame.shape[1])
     effects = {"defocus": options.defocus, "motion": options.motion}
-    image = np.zeros((*frame.shape, 4), np.float32)
-    if options.filtering:
-        return _filtered(frame, camera, database, options, clock)
+    tally = Tally()
     with clock.step("plan"):
-        given = [frame_pixels(layer, camera, **effects) for layer in frame.layers]
+        shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
+    if options.filtering:
+        return _filtered(shown, camera, database, options, clock, tally)
+    image = np.zeros((*frame.shape, 4), np.float32)
+    with clock.step("plan"):
+        given = [frame_pixels(layer, camera, **effects) for layer in shown]
     is_whole = len(given) > 1
     if is_whole and options.n_layers is not None:
         given = [[pixels for group in given for pixels in group]]
     n_layers = options.n_layers or (1 if is_whole else layers.DEFAULT_LAYERS)
-    tally = Tally()
     for number, group in enumerate(given):
         with clock.step("plan"):
-            plan = plan_pixels(group, database, options.settings(n_layers, border=True))
+            plan = plan_pixels(group, database, options.settings(n_layers))
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
         view = _HiddenShare(group, plan) if not is_whole else None
@@ -235,17 +244,36 @@ def reconstruct(
     LKS section 6.2, "Stochastic frame-buffers"; the opacity of layers is that of SLR section 5: a sample that passes
     a layer is a hole in it.
     """
-    options, clock = options or Options(), clock or Clock()
+    options, clock, tally = options or Options(), clock or Clock(), Tally()
     _warn_about_view(database, camera, samples.shape[1])
     with clock.step("plan"):
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
-        plan = plan_pixels(passes, database, options.settings(options.n_layers or layers.DEFAULT_LAYERS, border=True))
+        passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp)
+        settings = options.settings(options.n_layers or layers.DEFAULT_LAYERS, stochastic=True)
+        plan = plan_pixels(passes, database, settings)
         view = _PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
-    tally = Tally()
     _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
     return image, _report(tally, database, clock)
+
+
+def _clamped_frame(frame_layers: Sequence[Layer], factor: float | None) -> tuple[list[Layer], int]:
+    """Clamp the fireflies of each layer of a frame, if asked for; return how many pixels were."""
+    if factor is None:
+        return list(frame_layers), 0
+    found = [clamp_fireflies([(layer.radiance, NO_SHIFT)], factor) for layer in frame_layers]
+    clamped = [replace(layer, radiance=colours[0]) for layer, (colours, _) in zip(frame_layers, found, strict=True)]
+    return clamped, sum(count for _, count in found)
+
+
+def _clamped_samples(passes: list[Pixels], factor: float | None) -> tuple[list[Pixels], int]:
+    """Clamp the fireflies among samples, if asked for; return how many were."""
+    if factor is None:
+        return passes, 0
+    shifts = [NO_SHIFT if each.labels.shift is None else each.labels.shift for each in passes]
+    colours, count = clamp_fireflies([(each.radiance, s) for each, s in zip(passes, shifts, strict=True)], factor)
+    return [each._replace(radiance=colour) for each, colour in zip(passes, colours, strict=True)], count
 
 
 def average(samples: SampleBuffer, clock: Clock | None = None) -> tuple[Image, dict[str, Any]]:
@@ -380,12 +408,11 @@ def _splat_layer(
 
 
 def _filtered(
-    frame: Frame, camera: ThinLens, database: Database, options: Options, clock: Clock
+    given: Sequence[Layer], camera: ThinLens, database: Database, options: Options, clock: Clock, tally: Tally
 ) -> tuple[Image, dict[str, Any]]:
     """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
-    image = np.zeros((*frame.shape, 4), np.float32)
-    tally = Tally()
-    for layer in frame.layers:
+    image = np.zeros((*given[0].shape, 4), np.float32)
+    for layer in given:
         with clock.step("plan"):
             straight = replace(layer, motion_prev=None, motion_next=None)
             passes = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
@@ -417,6 +444,7 @@ def _report(tally: Tally, database: Database, clock: Clock) -> dict[str, Any]:
         "layers": tally.layers,
         "cells_used": len(set.union(*(plan.cells_used for plan in plans))),
         "cells_total": database.n_cells,
+        "pixels_clamped": tally.clamped,
         "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
         "error_bound": max(plan.error_bound for plan in plans),
         "padding_px": tally.padding,

@@ -34,6 +34,7 @@ class RenderOptions(TypedDict, total=False):
     tolerance: float | None
     layers: int | None
     softness: float | None
+    firefly_clamp: float | None
     defocus: bool
     motion: bool
     clock: Clock | None
@@ -98,9 +99,12 @@ def synthesize(
         methods always treat every pixel by itself.
     layers : int, optional
         Number of global depth layers, in equal steps of CoC. By default a frame that comes in layers keeps them, and
-        any other is divided into 6; 1 draws all pixels into one image and normalises it by accumulated weight.
+        any other is divided into 4; 1 draws all pixels into one image and normalises it by accumulated weight.
     softness : float, optional
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft, the default).
+    firefly_clamp : float, optional
+        How many times as bright as any other within a pixel of where it comes from a pixel, or a sample, may be, 1 or
+        more; by default any. It also dims true highlights of a single pixel.
     defocus, motion : bool
         Whether to apply each effect.
     clock : Clock, optional
