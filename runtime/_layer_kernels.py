@@ -95,24 +95,30 @@ def layer_labels(variant, layer, farther, weight, n_variants, part, label, share
 
 
 @numba.njit(cache=True, fastmath=False)
+def _add_moments(total, weight, coc, length, motion):
+    """Add a pixel to the sums of its layer."""
+    total[0] += weight
+    total[1] += weight * coc
+    total[2] += weight * coc * coc
+    total[3] += weight * length * length
+    total[4] += weight * motion[0]
+    total[5] += weight * motion[1]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
 def layer_moments(variant, layer, farther, coc, length, motion, n_layers):
-    """Sum, over the pixels of each layer, what `MOMENTS` names; shape (n_layers, 6), float64."""
-    total = np.zeros((n_layers, 6), np.float64)
-    for row in range(variant.shape[0]):
+    """Sum, over the pixels of each layer in each row, what `MOMENTS` names; shape (H, n_layers, 6), float64."""
+    total = np.zeros((variant.shape[0], n_layers, 6), np.float64)
+    for row in numba.prange(variant.shape[0]):
         for col in range(variant.shape[1]):
             if variant[row, col] < 0:
                 continue
             for part in range(2):
                 weight = np.float64(farther[row, col]) if part else 1.0 - np.float64(farther[row, col])
                 if weight > 0.0:
-                    each = total[layer[row, col] + part]
-                    c, s = np.float64(coc[row, col]), np.float64(length[row, col])
-                    each[0] += weight
-                    each[1] += weight * c
-                    each[2] += weight * c * c
-                    each[3] += weight * s * s
-                    each[4] += weight * motion[row, col, 0]
-                    each[5] += weight * motion[row, col, 1]
+                    each = total[row, layer[row, col] + part]
+                    labels = np.float64(coc[row, col]), np.float64(length[row, col])
+                    _add_moments(each, weight, *labels, motion[row, col])
     return total
 
 

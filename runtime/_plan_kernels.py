@@ -174,10 +174,11 @@ def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
             key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + number) + orientation
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit(cache=True, fastmath=False, parallel=True)
 def mark_keys(key, place):
     """Set ``place`` (n_keys,), int32, to 0 for each key in use."""
-    for row in range(key.shape[0]):
+    # Threads may write the same place, but nothing else than 0.
+    for row in numba.prange(key.shape[0]):
         for col in range(key.shape[1]):
             if key[row, col] >= 0:
                 place[key[row, col]] = 0

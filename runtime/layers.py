@@ -60,11 +60,13 @@ class Layering:
     @classmethod
     def of(cls, passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]], n_layers: int, softness: float) -> Layering:
         """Divide the range of depths of some passes, each with labels and variants, into layers."""
+        if n_layers == 1:
+            return cls(1)
         bounds = np.concatenate(
             [_layer_kernels.nearness_range(labels.view.depth, variant) for labels, variant in passes]
         )
         low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
-        if n_layers == 1 or not high > low:
+        if not high > low:
             return cls(1)
         return cls(n_layers, low, n_layers / (high - low), softness)
 
@@ -97,7 +99,7 @@ class Moments(NamedTuple):
 def layer_moments(passes: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
     """Return the means of each layer over passes of labels, motions (H, W, 2) and members; None for empty layers."""
     total = sum(
-        _layer_kernels.layer_moments(*members, labels.coc, labels.length, motion, n_layers)
+        _layer_kernels.layer_moments(*members, labels.coc, labels.length, motion, n_layers).sum(axis=0)
         for labels, motion, members in passes
     )
     return [_means(each) if each[0] > 0 else None for each in np.asarray(total)]

@@ -211,7 +211,7 @@ def synthesize(
             plan = plan_pixels(group, database, options.settings(n_layers))
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
-        view = _HiddenShare(group, plan) if not is_whole else None
+            view = _HiddenShare(group, plan) if plan.n_layers > 1 and not is_whole else None
         _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
     return image, _report(tally, database, clock)
 
