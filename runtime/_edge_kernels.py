@@ -3,6 +3,7 @@
 import math
 
 import numba
+import numpy as np
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -32,6 +33,29 @@ def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
         far[0], far[1] = k, m
         share = (back - here) / (back - front)
     return share
+
+
+@numba.njit(cache=True, fastmath=False)
+def _find_gaps(above, here, below, step, found):
+    """Tell for each pixel of a row whether the surfaces on two opposite sides of it may lie a gap apart.
+
+    Parameters
+    ----------
+    above, here, below : ndarray of shape (W,), float32
+        Depths.
+    step : float32
+        Difference of inverse depths that is a gap. Depths p and q are, if ``|p - q| >= step p q``.
+    found : ndarray of shape (W,), bool
+        Filled but for the first and the last pixel.
+    """
+    n = np.uint64(here.shape[0] - 1)
+    for left in range(np.uint64(0), n - np.uint64(1)):
+        col, right = left + np.uint64(1), left + np.uint64(2)
+        along = abs(here[left] - here[right]) >= step * here[left] * here[right]
+        across = abs(above[col] - below[col]) >= step * above[col] * below[col]
+        falling = abs(above[left] - below[right]) >= step * above[left] * below[right]
+        rising = abs(above[right] - below[left]) >= step * above[right] * below[left]
+        found[col] = along | across | falling | rising
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -64,10 +88,16 @@ def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
     """
     height, width = depth.shape
     count = 0
+    # A little less than the gap, so that rounding hides none.
+    step = np.float32(0.999 * least_gap / scale) if scale > 0 else np.float32(np.inf)
     for row in numba.prange(height):
-        for col in range(width):
-            share[row, col] = 0.0
-            if not (2 <= row < height - 2 and 2 <= col < width - 2):
+        share[row] = 0.0
+        if not 2 <= row < height - 2:
+            continue
+        found = np.empty(width, np.bool_)
+        _find_gaps(depth[row - 1], depth[row], depth[row + 1], step, found)
+        for col in range(2, width - 2):
+            if not found[col]:
                 continue
             share[row, col] = _blend_at(
                 depth, radiance, scale, least_gap, flatness, row, col, near[row, col], far[row, col]

@@ -105,6 +105,17 @@ def _scale_step(excess, steps_per_octave, n_scales):
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
+@numba.njit(cache=True, fastmath=False)
+def _same(coordinate, heading, coc, row, col):
+    """Tell whether a pixel has the labels of the one to its left."""
+    same = coc[row, col] == coc[row, col - 1]
+    for axis in range(len(coordinate)):
+        same &= coordinate[axis][row, col] == coordinate[axis][row, col - 1]
+    return (
+        same and heading[row, col, 0] == heading[row, col - 1, 0] and heading[row, col, 1] == heading[row, col - 1, 1]
+    )
+
+
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
     """Map the labels of each pixel to the key of its variant.
@@ -141,6 +152,10 @@ def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
             r, g, b, a = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2], radiance[row, col, 3]
             if not (r or g or b or a) or (weight.shape[0] and weight[row, col] == 0):
                 key[row, col] = INVISIBLE
+                continue
+            # Neighbours on one flat, still surface share all their labels; counting an excess needs the long way.
+            if col > 0 and key[row, col - 1] >= 0 and excess[row, 1] == 0 and _same(coordinate, heading, coc, row, col):
+                key[row, col] = key[row, col - 1]
                 continue
             extent = 0.0
             factor = 0.0
