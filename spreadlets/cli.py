@@ -430,6 +430,31 @@ def demo(output: str, as_json: bool) -> None:
     _print(run_demo(output), as_json)
 
 
+@cli.command()
+@click.option("--out", default="stability_output", show_default=True, type=click.Path(file_okay=False))
+@click.option("--quick", is_flag=True, help="Smaller sizes: under a minute, as the tests do.")
+@click.option("--only", help="Run the cases whose name contains this, such as 'layers' or 'CoC'.")
+@json_option
+def stability(out: str, quick: bool, only: str | None, as_json: bool) -> None:
+    """Run every stiff and extreme case, each against an oracle; exit with 1 if one is beyond its budget.
+
+    Example: spreadlets stability --quick --out stability_output
+    """
+    from spreadlets.reports.stability import Outcome, run_stability, text_lines
+
+    with _progress("stability", quiet=as_json) as progress:
+        report = run_stability(out, quick=quick, only=only, progress=progress)
+    if as_json:
+        _print(report, as_json)
+    else:
+        for line in text_lines([Outcome(**each) for each in report["cases"]]):
+            click.echo(line)
+        counts = ", ".join(f"{report[name]} {name}" for name in ("passed", "limits", "failed"))
+        click.echo(f"{counts} in {report['total_s']:.1f} s; written to {report['written_to']}")
+    if report["failed"]:
+        sys.exit(EXIT_FAILURE)
+
+
 @contextmanager
 def _progress(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with an estimate on standard error, from the first report of progress on."""
