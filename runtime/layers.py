@@ -21,6 +21,13 @@ MAX_LAYERS = 64
 DEFAULT_SOFTNESS = 1.0
 """Width of the transition from one layer to the next, in layers."""
 
+STRAY_SHARE = 0.002
+STRAY_STRETCH = 2.0
+"""So small a share of the pixels must not stretch the range of inverse depths by more than this factor: a stray depth
+of a millimetre would put all else into one layer. Such pixels go to the first or the last layer."""
+RANGE_PIXELS = 1 << 16
+"""About so many pixels are looked at to find them."""
+
 BEHIND_ALL = 1 << 20
 
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
@@ -68,6 +75,9 @@ class Layering:
         low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
         if not high > low:
             return cls(1)
+        inner = _inner_range(passes)
+        if high - low > STRAY_STRETCH * (inner[1] - inner[0]) > 0.0:
+            low, high = inner
         return cls(n_layers, low, n_layers / (high - low), softness)
 
     def members(self, labels: Labels, variant: npt.NDArray[np.int32]) -> Membership:
@@ -79,6 +89,20 @@ class Layering:
                 labels.view.depth, self.first, self.scale, self.n_layers, self.softness, layer, farther
             )
         return Membership(variant, layer, farther)
+
+
+def _inner_range(passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]]) -> tuple[float, float]:
+    """Return the range of ``-1 / depth`` without a small share of the drawn pixels at either end."""
+    found = []
+    for labels, variant in passes:
+        step = max(1, math.isqrt(variant.size // RANGE_PIXELS))
+        depth = labels.view.depth[::step, ::step]
+        found.append(-1.0 / depth[variant[::step, ::step] >= 0].astype(np.float64))
+    nearness = np.sort(np.concatenate(found))
+    if not len(nearness):
+        return 0.0, 0.0
+    cut = int(STRAY_SHARE * len(nearness))
+    return float(nearness[cut]), float(nearness[len(nearness) - 1 - cut])
 
 
 class Moments(NamedTuple):

@@ -32,6 +32,12 @@ N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 NEVER_SHARP = -1.0
+HIGHLIGHT_RATIO = 1e4
+"""A pixel so many times brighter than the median is drawn in full: the field around its spreadlet would show."""
+MOST_HIGHLIGHTS = 0.01
+"""Share of the pixels up to which they are drawn in full: where there are more, they are what is to be seen."""
+HIGHLIGHT_STEP = 4
+"""Every so many rows and columns are looked at for the median."""
 SHIFT_STEPS_PER_PIXEL = 16
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 WIDE_REACH = 8
@@ -135,9 +141,10 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
-    used, place = _used_keys(keys, excess, database.n_spreadlets)
-    indices = [np.empty(key.shape, np.int32) for key in keys]
-    skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(keys, indices, strict=True))
+    drawn = _mark_highlights(passes, keys, database.n_spreadlets)
+    used, place = _used_keys(drawn)
+    indices = [np.empty(key.shape, np.int32) for key in drawn]
+    skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(drawn, indices, strict=True))
     _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
     table = _point_table(list(variant_points(variants, database, settings.dense_psf)), database.n_channels)
@@ -204,12 +211,34 @@ def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32]
     return found
 
 
-def _used_keys(
-    keys: Sequence[npt.NDArray[np.int64]], excess: Sequence[npt.NDArray[np.float64]], n_spreadlets: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+def _mark_highlights(
+    passes: Sequence[Pixels], keys: Sequence[npt.NDArray[np.int64]], n_spreadlets: int
+) -> list[npt.NDArray[np.int64]]:
+    """Return the keys, those of strong highlights changed to the same PSFs drawn in full."""
+    threshold = HIGHLIGHT_RATIO * _median_light(passes)
+    changed = []
+    for pixels, key in zip(passes, keys, strict=True):
+        if not pixels.radiance.max(initial=0.0) > threshold:
+            changed.append(key)
+            continue
+        bright = pixels.radiance[..., :3].max(axis=2) > threshold
+        few = 0 < np.count_nonzero(bright) <= max(1.0, MOST_HIGHLIGHTS * bright.size)
+        full = key + 8 * N_SCALES * n_spreadlets
+        changed.append(np.where(bright & (key > _plan_kernels.SHARP), full, key) if few else key)
+    return changed
+
+
+def _median_light(passes: Sequence[Pixels]) -> float:
+    """Return the median of the brightest channel over some of the pixels that have light; 0 if none has any."""
+    some = [each.radiance[::HIGHLIGHT_STEP, ::HIGHLIGHT_STEP, :3].max(axis=2).ravel() for each in passes]
+    light = np.concatenate(some)
+    lit = light[light > 0]
+    return float(np.median(lit)) if len(lit) else math.inf
+
+
+def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
     """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
-    steps = 1 + max(int(each[:, 2].max()) for each in excess)
-    place = np.full(1 + 8 * n_spreadlets * steps, -1, np.int32)
+    place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
     for key in keys:
         _plan_kernels.mark_keys(key, place)
     return _plan_kernels.number_keys(place), place
@@ -234,6 +263,7 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
         return SHARP
     scaled, orientation = divmod(key - 1, 8)
     step, spreadlet = divmod(scaled, int(cell_start[-1]))
+    full, step = divmod(step, N_SCALES)
     cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
     return Variant(
         cell=cell,
@@ -242,6 +272,7 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
         flip_row=bool(orientation & 2),
         flip_col=bool(orientation & 4),
         scale=float(np.exp2(step / SCALE_STEPS_PER_OCTAVE)),
+        full=bool(full),
     )
 
 

@@ -8,9 +8,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
+from scipy.spatial import ConvexHull
 
 from runtime._plan_kernels import turned_points
 from spreadlets.database import Database
+from spreadlets.laplacian import solve_dirichlet
 from spreadlets.spreadlet import Spreadlet
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
@@ -32,9 +34,14 @@ MIN_DENSE_VALUE = 1e-7
 MIN_ROW_STEP = 2e-3
 """A row of a PSF counts as constant while it stays within this share of the peak: a traced disc is not quite even."""
 
+FULL_MARGIN = 16
+"""Border, px, of the solve that turns a spreadlet into its PSF."""
+HULL_TOLERANCE = 1e-6
+"""How far outside the hull of its points, px, a pixel still counts as on it: rounding."""
+
 
 class Variant(NamedTuple):
-    """One PSF as a frame needs it: which stored spreadlet, how turned, and how much larger."""
+    """One PSF as a frame needs it: which stored spreadlet, how turned, how much larger, and whether drawn in full."""
 
     cell: int
     direction: int
@@ -42,6 +49,7 @@ class Variant(NamedTuple):
     flip_row: bool
     flip_col: bool
     scale: float
+    full: bool = False
 
 
 SHARP = Variant(-1, 0, False, False, False, 1.0)
@@ -58,7 +66,8 @@ def variant_points(variants: list[Variant], database: Database, dense_psf: Dense
         return
     spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
     for each, spreadlet in zip(stored, spreadlets, strict=True):
-        yield _turned(spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale), each)
+        wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
+        yield _turned(in_full(wide) if each.full else wide, each)
 
 
 def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
@@ -94,6 +103,26 @@ def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
     moments = _moments(rounded)
     value += np.linalg.lstsq(moments, target - moments @ value, rcond=None)[0]
     return Spreadlet(rounded.astype(np.int16), value.astype(np.float32), False)
+
+
+def in_full(spreadlet: Spreadlet) -> Spreadlet:
+    """Return a spreadlet's PSF itself as direct points, of equal energy, and zero outside the hull of its points.
+
+    The field that a sparse Laplacian leaves around its PSF is some 1e-5 of it: too much next to a strong highlight.
+    """
+    if spreadlet.direct:
+        return spreadlet
+    half = np.asarray(spreadlet.extent)
+    psf = np.zeros((*(2 * (half + FULL_MARGIN) + 1), spreadlet.n_channels))
+    rows, cols = (spreadlet.offset_rc.astype(np.int64) + half + FULL_MARGIN).T
+    psf[rows, cols] = spreadlet.value
+    psf = np.maximum(solve_dirichlet(psf), 0.0)
+    edges = ConvexHull(spreadlet.offset_rc).equations
+    grid = np.stack(np.meshgrid(*(np.arange(-h, h + 1) for h in half + FULL_MARGIN), indexing="ij"), axis=-1)
+    psf[(grid @ edges[:, :2].T + edges[:, 2]).max(axis=2) > HULL_TOLERANCE] = 0.0
+    # The second moments of a Laplacian are those of its image's sum.
+    psf *= spreadlet.moments()[4:].sum(axis=0) / (4.0 * psf.sum(axis=(0, 1)))
+    return _dense_points(psf)
 
 
 def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

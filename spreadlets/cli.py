@@ -442,6 +442,81 @@ def demo(output: str, as_json: bool) -> None:
     _print(run_demo(output), as_json)
 
 
+@cli.command()
+@click.option("--out", default="bench_output", show_default=True, type=click.Path(file_okay=False))
+@click.option("--quick", is_flag=True, help="One frame, the main methods, fewer rounds: within two minutes.")
+@click.option("--frames", "folder", default="../shared/frames", show_default=True, type=click.Path(file_okay=False))
+@click.option("--frame", multiple=True, type=click.Path(dir_okay=False), help="A frame of yours; several are layers.")
+@click.option("--samples", type=click.Path(dir_okay=False), help="Samples of yours.")
+@click.option("--camera", "camera_path", type=click.Path(dir_okay=False), help="Camera file (JSON) of yours.")
+@click.option("--reference", type=click.Path(dir_okay=False), help="What yours should become (EXR).")
+@click.option("--fresh", is_flag=True, help="Measure anew what an interrupted run has measured.")
+@json_option
+def bench(
+    out: str,
+    quick: bool,
+    folder: str,
+    frame: tuple[str, ...],
+    samples: str | None,
+    camera_path: str | None,
+    reference: str | None,
+    fresh: bool,
+    as_json: bool,
+) -> None:
+    """Measure error against run time of every method and knob, on the frames of a folder, the shipped one, or yours.
+
+    A folder holds NAME.json, NAME_pinhole.exr, NAME_ref_dofmb.exr and, if there are any, NAME_layer0.exr ...,
+    NAME_samples.exr and NAME_noisy1.exr .... Without it the shipped frame is taken. Methods whose package is missing
+    are left out, and named.
+
+    Example: spreadlets bench --out bench_output --frame frame.exr --camera camera.json --reference reference.exr
+    """
+    from pathlib import Path
+
+    from spreadlets.reports.bench import run_bench
+    from spreadlets.reports.subjects import given_subject, shipped_subject, subjects_in
+
+    if frame or samples:
+        subjects = [given_subject(frame, samples, camera_path, reference)]
+    elif camera_path or reference:
+        raise click.UsageError("--camera and --reference come with --frame or --samples")
+    else:
+        subjects = subjects_in(Path(folder)) or [shipped_subject()]
+    with _progress("bench", quiet=as_json) as progress:
+        report = run_bench(subjects[:1] if quick else subjects, out, quick=quick, fresh=fresh, progress=progress)
+    if as_json:
+        _print(report, as_json)
+        return
+    for line in report["summary"]:
+        click.echo(line)
+    click.echo(f"written to {report['written_to']}: bench.csv, bench.txt, bench.html, plots")
+
+
+@cli.command()
+@click.option("--out", default="stability_output", show_default=True, type=click.Path(file_okay=False))
+@click.option("--quick", is_flag=True, help="Smaller sizes: under a minute, as the tests do.")
+@click.option("--only", help="Run the cases whose name contains this, such as 'layers' or 'CoC'.")
+@json_option
+def stability(out: str, quick: bool, only: str | None, as_json: bool) -> None:
+    """Run every stiff and extreme case, each against an oracle; exit with 1 if one is beyond its budget.
+
+    Example: spreadlets stability --quick --out stability_output
+    """
+    from spreadlets.reports.stability import Outcome, run_stability, text_lines
+
+    with _progress("stability", quiet=as_json) as progress:
+        report = run_stability(out, quick=quick, only=only, progress=progress)
+    if as_json:
+        _print(report, as_json)
+    else:
+        for line in text_lines([Outcome(**each) for each in report["cases"]]):
+            click.echo(line)
+        counts = ", ".join(f"{report[name]} {name}" for name in ("passed", "limits", "failed"))
+        click.echo(f"{counts} in {report['total_s']:.1f} s; written to {report['written_to']}")
+    if report["failed"]:
+        sys.exit(EXIT_FAILURE)
+
+
 @contextmanager
 def _progress(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with an estimate on standard error, from the first report of progress on."""

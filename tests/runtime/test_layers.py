@@ -114,6 +114,21 @@ def test_pixels_that_are_not_drawn_do_not_widen_the_range():
     assert made.first == pytest.approx(-0.5) and made.scale == pytest.approx(4 / 0.25)
 
 
+def test_a_stray_depth_does_not_widen_the_range_but_a_small_object_does():
+    depth = 1 / np.linspace(0.25, 0.1, 10_000).reshape(100, 100)
+    variant = np.zeros(depth.shape, np.int32)
+    usual = Layering.of([(labels_of(depth), variant)], 4, 1.0)
+    depth[50, 50:60] = 1e-6
+    stray = Layering.of([(labels_of(depth), variant)], 4, 1.0)
+    assert stray.first == pytest.approx(usual.first, abs=1e-3) and stray.scale == pytest.approx(usual.scale, rel=0.01)
+    assert stray.members(labels_of(depth), variant).layer[50, 55] == 0
+    depth[50, 50:80] = 1e-6
+    assert Layering.of([(labels_of(depth), variant)], 4, 1.0).first == pytest.approx(-1e6)
+    depth[50, 50:80] = 4.0
+    depth[50, 50] = 1 / 0.3
+    assert Layering.of([(labels_of(depth), variant)], 4, 1.0).first == pytest.approx(-0.3), "close enough to count"
+
+
 # --- the blur that shares and counts get
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference import capsule_psf, disc_coverage
 
-from runtime.variant import scaled
+from runtime.variant import in_full, scaled
 from spreadlets.api import synthesize as synthesize_any
 from spreadlets.camera import ThinLens
 from spreadlets.errors import InvalidParameterError
@@ -319,3 +319,42 @@ def test_a_model_without_motion_says_that_it_ignores_it(tmp_path):
     build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0)
     with open_database(tmp_path / "s.h5") as database, pytest.warns(UserWarning, match="no axis 'motion'.*100.0 %"):
         synthesize(spot_frame(32, 32, 4.0, (5.0, 0.0)), CAMERA, database)
+
+
+def highlight_frame(value, n=1, size=129):
+    radiance = np.ones((size, size, 3), np.float32)
+    radiance[size // 2, size // 2 : size // 2 + n] = value
+    return Frame(radiance, np.full((size, size), depth_of(9.0, size)))
+
+
+@pytest.mark.parametrize(("value", "full"), [(0.9e4, 0), (1.1e4, 1), (1e8, 1)])
+def test_a_strong_highlight_is_drawn_in_full(small_combined, value, full):
+    image, report = synthesize(highlight_frame(value), CAMERA, small_combined, layers=1)
+    rows, cols = np.indices(image.shape[:2]) - 64
+    stray = np.abs(image[np.hypot(rows, cols) > 20] - 1).max()
+    assert report["plan"]["pixels_dense"] == full
+    assert stray < 1e-5 if full else stray > 1e-5
+    assert (image[..., 0].sum() - 129**2) / value == pytest.approx(1.0, rel=2e-3)
+
+
+def test_highlights_that_fill_a_part_of_the_frame_are_no_highlights(small_combined):
+    frame = highlight_frame(1e6, n=64)
+    frame.radiance[40:80, 40:80] = 1e6
+    _, report = synthesize(frame, CAMERA, small_combined, layers=1)
+    assert report["plan"]["pixels_dense"] == 0
+
+
+def test_a_psf_drawn_in_full_is_that_of_its_spreadlet(small_combined):
+    sparse = [s for i in range(small_combined.n_cells) if not (s := small_combined.cell(i)).direct]
+    for spreadlet in sparse:
+        full = in_full(spreadlet)
+        assert full.direct and full.value.sum() == pytest.approx(1.0, abs=1e-4)
+        margin = max(full.extent) - max(spreadlet.extent)
+        assert margin <= 0, "nothing lies outside the points"
+        half = max(spreadlet.extent) + 2
+        images = [np.zeros((2 * half + 1, 2 * half + 1)) for _ in range(2)]
+        images[0][tuple(full.offset_rc.T.astype(int) + half)] = full.value[:, 0]
+        dense = spreadlet.to_dense()[..., 0]
+        top, left = half - dense.shape[0] // 2, half - dense.shape[1] // 2
+        images[1][top : top + dense.shape[0], left : left + dense.shape[1]] = dense
+        assert psf_l1(images[1], images[0]) < 0.04
