@@ -1,4 +1,4 @@
-"""The spreadlet database: opened and validated, read cell by cell; `spreadlets.database_file` knows the file's schema."""
+"""The spreadlet database: opened and validated, read cell by cell; `spreadlets.database_file` knows its schema."""
 
 from __future__ import annotations
 
@@ -73,6 +73,8 @@ class Database:
         Whether the points are the PSF's own pixels rather than its Laplacian's.
     point_start : ndarray of shape (n_spreadlets + 1,), int64
         The points of each spreadlet in the file's point tables.
+    seed_cell : ndarray of shape (n_cells,), int64
+        The number of each cell that went into its seed: its own, unless the database was extended.
     """
 
     def __init__(self, file: h5py.File, path: Path) -> None:
@@ -96,6 +98,11 @@ class Database:
         n_points = int(self.point_start[-1])
         require(file, "offset_rc", (n_points, 2), np.int16)
         require(file, "value", (n_points, self.n_channels), np.float32)
+        self.seed_cell = np.arange(self.grid.n_cells)
+        if "seed_cell" in file:
+            self.seed_cell = read_table(file, "seed_cell", (self.grid.n_cells,), np.int64)
+            if self.seed_cell.min() < 0:
+                raise InvalidDatabaseError(f"{path}: dataset 'seed_cell' holds a negative number")
 
     @property
     def n_cells(self) -> int:

@@ -34,7 +34,9 @@ STATISTICS = ("n_support", "sparsity", "ssim", "l1", "energy_error", "max_value_
 """Names of the figures that every stored spreadlet carries, in the file's column order."""
 
 TABLES = ("cell_start", "point_start", "direction", "direct", "statistics", "offset_rc", "value")
-OPTIONAL = ("settings", "provenance")
+OPTIONAL = ("settings", "provenance", "seed_cell")
+"""What a model depends on beside its axes; how the file was made; and of an extended database the number that each cell
+had in the build that first had it, which is a part of its seed."""
 
 MAX_CELLS = 1_000_000
 MAX_SPREADLETS = 20_000_000
@@ -52,12 +54,12 @@ of one spreadlet, an offset in px, the size of a value (those of a PSF's Laplaci
 that), bytes of a text, an attribute and an unpacked chunk, and the end of an axis in its unit."""
 
 MAX_EXPANSION = 1032
-"""No byte of a deflated stream stands for more bytes than this (zlib's manual): a bound on what stored bytes unpack to."""
+"""No byte of a deflated stream stands for more bytes than this (zlib's manual): so much can stored bytes unpack to."""
 FILTER_SLACK = 1024
 """Bytes by which a stored chunk may exceed its unpacked size: headers and checksums."""
 
 GZIP, SHUFFLE, FLETCHER32 = 1, 2, 3
-"""HDF5's identifiers of the filters that it has built in; any other would be a plug-in, a library loaded from a path."""
+"""HDF5's identifiers of filters that it has built in; others would be plug-ins, libraries that it loads from a path."""
 
 CHUNK_POINTS = 8192
 """Points that are compressed together: small enough to read a few cells, large enough to compress well."""
@@ -92,6 +94,7 @@ def write_database(
     grid: PsfGrid,
     cells: Iterable[list[CellRecord]],
     provenance: Mapping[str, Any],
+    seed_cell: npt.NDArray[np.int64] | None = None,
 ) -> None:
     """Write a database beside its final name, then rename it, so that no half-written file is ever seen.
 
@@ -106,6 +109,8 @@ def write_database(
         no more than a few cells are in memory at once.
     provenance : mapping
         JSON-serialisable facts on how the file was made (seed, versions, settings, build time).
+    seed_cell : ndarray of shape (n_cells,), int64, optional
+        The number of each cell that went into its seed, if it is not its own.
 
     Raises
     ------
@@ -118,6 +123,8 @@ def write_database(
         with h5py.File(temporary, "w", libver=LIBRARY_VERSION) as file:
             _write_header(file, grid, provenance)
             _write_cells(file, grid.model.n_channels, cells)
+            if seed_cell is not None:
+                _write_table(file, "seed_cell", seed_cell)
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
         os.replace(temporary, target)
@@ -323,8 +330,7 @@ def read_rows(file: h5py.File, name: str, begin: int, end: int) -> npt.NDArray[A
     if dataset.chunks:
         limit = int(np.prod(dataset.chunks)) * dataset.dtype.itemsize + FILTER_SLACK
         for row in range(begin - begin % dataset.chunks[0], end, dataset.chunks[0]):
-            for column in range(0, *dataset.shape[1:], dataset.chunks[1]) if dataset.ndim == 2 else (None,):
-                place = (row,) if column is None else (row, column)
+            for place in _chunks_of_row(dataset, row):
                 if dataset.id.get_chunk_info_by_coord(place).size > limit:
                     raise InvalidDatabaseError(f"{file.filename}: a chunk of {name!r} is larger than it can be")
     try:
@@ -333,6 +339,13 @@ def read_rows(file: h5py.File, name: str, begin: int, end: int) -> npt.NDArray[A
         raise InvalidDatabaseError(
             f"{file.filename}: rows {begin} to {end} of {name!r} cannot be read: damaged ({error})"
         ) from error
+
+
+def _chunks_of_row(dataset: h5py.Dataset, row: int) -> list[tuple[int, ...]]:
+    """Return the places of the chunks that hold a row."""
+    if dataset.ndim == 1:
+        return [(row,)]
+    return [(row, column) for column in range(0, dataset.shape[1], dataset.chunks[1])]
 
 
 def read_table(file: h5py.File, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:

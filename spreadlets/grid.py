@@ -71,7 +71,9 @@ class NestedGrid:
             raise InvalidParameterError(f"a grid needs one or more sides, each an integer of at least 1: {self.shape}")
         object.__setattr__(self, "shape", tuple(int(side) for side in self.shape))
         if math.prod(self.shape) > MAX_UNITS:
-            raise InvalidParameterError(f"a grid of {self.shape} units is too large: at most {MAX_UNITS}; ask for fewer cells")
+            raise InvalidParameterError(
+                f"a grid of {self.shape} units is too large: at most {MAX_UNITS}; ask for fewer cells"
+            )
 
     @property
     def n_axes(self) -> int:
