@@ -15,6 +15,7 @@ from precompute.progress import Progress
 from precompute.sparsify import measure_spreadlet
 from precompute.work import ALGORITHM_VERSION, pose_seed, single_threaded, total_variation
 from spreadlets.database import Database
+from spreadlets.database_file import refusing
 from spreadlets.errors import InvalidDatabaseError
 from spreadlets.psf_model import PsfModel
 from spreadlets.spreadlet import Spreadlet
@@ -93,7 +94,7 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
                 checks.append(_check(database, cell, number, spreadlet, recorded))
     differences = dict.fromkeys(TOLERANCES, 0.0)
     done = 0
-    for check, measured in _measured(checks, jobs or os.cpu_count() or 1):
+    for check, measured in _measured(database, checks, jobs or os.cpu_count() or 1):
         done += 1
         bad += [f"cell {check.cell}, direction {check.number}: {what}" for what in _figures(check, measured)]
         for name, largest in differences.items():
@@ -150,9 +151,9 @@ def _point_problems(spreadlet: Spreadlet, recorded: Mapping[str, float]) -> Iter
         yield f"its energy is {energy:g}, and an error of {recorded['energy_error']:g} is recorded"
 
 
-def _measured(checks: list[_Check], jobs: int) -> Iterator[tuple[_Check, dict[str, float]]]:
+def _measured(database: Database, checks: list[_Check], jobs: int) -> Iterator[tuple[_Check, dict[str, float]]]:
     parallel = joblib.Parallel(n_jobs=min(jobs, max(len(checks), 1)), return_as="generator")
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+    with joblib.parallel_config(backend="loky", inner_max_num_threads=1), refusing(database.path):
         yield from zip(checks, parallel(joblib.delayed(_measure)(check) for check in checks), strict=True)
 
 

@@ -29,6 +29,9 @@ RECONNECT_S = 30.0
 WATCH_S = 1.0
 """How often to look whether a parent process or a cluster is still there, s."""
 
+WORKERLESS_S = 60.0
+"""How long a cluster may be without any worker before the build stops, s: a new one may be on its way."""
+
 LOST = ("error", "lost", "cancelled")
 """States of a unit that the cluster has given up: what a unit itself raises comes back as its result."""
 
@@ -97,7 +100,7 @@ def _connected(address: str) -> Iterator[Any]:
         from dask.distributed import Client
     except ImportError as error:
         raise InvalidParameterError("a cluster needs Dask: install spreadlets[cluster]") from error
-    with _quiet("distributed"), config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
+    with _quiet("distributed", "tornado"), config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
@@ -110,15 +113,17 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 @contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Silence a library's log: a lost cluster is told once, and by us."""
-    log = logging.getLogger(name)
-    level = log.level
-    log.setLevel(logging.CRITICAL)
+def _quiet(*packages: str) -> Iterator[None]:
+    """Silence the logs of libraries: a lost cluster is told once, and by us."""
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in packages]
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        log.setLevel(level)
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def _wait_for_workers(client: Any, address: str) -> None:
@@ -158,7 +163,7 @@ def _compute_there(units: Sequence[WorkUnit], client: Any) -> Iterator[UnitResul
         if isinstance(result, SpreadletsError):
             raise result
         if isinstance(result, Exception):
-            raise BuildStoppedError(f"the cluster failed: {result}; {AGAIN}") from result
+            raise BuildStoppedError(f"the cluster failed: {str(result).rstrip('.')}; {AGAIN}") from result
         if result.algorithm_version != ALGORITHM_VERSION:
             raise BuildStoppedError(
                 f"a worker of the cluster has version {result.algorithm_version} of the algorithm, this program "
@@ -172,13 +177,18 @@ class _Watch:
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._seen = time.monotonic()
+        self._seen = self._staffed = time.monotonic()
 
     def look(self) -> None:
-        """Raise BuildStoppedError if the scheduler is gone or has given up a unit."""
+        """Raise BuildStoppedError if the scheduler or all workers are gone, or a unit was given up."""
+        now = time.monotonic()
         if self._client.status == "running":
-            self._seen = time.monotonic()
-        if self._client.status == "closed" or time.monotonic() - self._seen > RECONNECT_S:
+            self._seen = now
+            if self._client.ncores():
+                self._staffed = now
+        if self._client.status == "closed" or now - self._seen > RECONNECT_S:
             raise BuildStoppedError(f"the connection to the scheduler is lost; {AGAIN}")
+        if now - self._staffed > WORKERLESS_S:
+            raise BuildStoppedError(f"the cluster has had no worker for {WORKERLESS_S:g} s; {AGAIN}")
         if any(state.status in LOST for state in list(self._client.futures.values())):
             raise BuildStoppedError(f"the cluster has given up a unit: its workers died on it, or were lost; {AGAIN}")

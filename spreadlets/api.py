@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database, open_database
-from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
+from spreadlets.database_file import refusing
+from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
 from spreadlets.sample_buffer import SampleBuffer
 
@@ -303,7 +304,7 @@ class DensePsfs:
 
         grid = self.database.grid
         stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
-        try:
+        with refusing(self.database.path):  # the model's settings are the file's
             return trace_psf(
                 grid.model,
                 grid.box(cell) * stretch,
@@ -311,5 +312,3 @@ class DensePsfs:
                 direction_half_width=grid.direction_half_width(cell),
                 side=grid.side(cell, direction),
             )
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise InvalidDatabaseError(f"{self.database.path}: the model's settings are malformed: {error}") from error
