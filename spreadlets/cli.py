@@ -163,7 +163,7 @@ def info(
 
     if is_frame_file(target):
         if plot or verify:
-            raise click.UsageError("--plot and --verify are for databases")
+            raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
         _print(_frame_info(target, camera_path, options), as_json)
         return
     given = [name for name in ("camera_path", *options) if context.get_parameter_source(name) is not _DEFAULT]
