@@ -1,42 +1,34 @@
-"""Building a database: trace and sparsify every cell and direction, in parallel processes, resumable."""
+"""Building a database: every cell and direction traced and sparsified by workers, resumable, extendable.
+
+Workers compute (`precompute.workers`), this process alone writes: finished cells into a folder (`precompute.parts`),
+and in the end all of them into the database, which appears whole.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-import json
 import os
-import shutil
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import joblib
-import numba
-import numpy as np
-import numpy.typing as npt
-from threadpoolctl import threadpool_limits
+from typing import Any
 
 from precompute import combined, physicallens, simplelens, stylized, volume
 from precompute.aperture import Aperture
-from precompute.light_tracing import trace_psf
-from precompute.sparsify import sparsify
-from spreadlets.database import CellRecord, absent_record, write_database
-from spreadlets.errors import InvalidParameterError
+from precompute.extension import Kept, check_extension, extended_grid
+from precompute.parts import LOG_NAME, Parts, open_parts
+from precompute.progress import BuildProgress, Progress
+from precompute.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
+from precompute.workers import open_workers
+from spreadlets.database_file import CellRecord, absent_record, write_database
+from spreadlets.errors import BuildStoppedError, InvalidParameterError
 from spreadlets.psf_model import PsfGrid, get_model
-from spreadlets.spreadlet import Spreadlet
 
-ALGORITHM_VERSION = 2
-"""Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 MAX_SAMPLES = 100_000
-
-Progress = Callable[[int, int], None]
-"""Called with the numbers of finished and of all cells."""
-
 
 SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
     "simplelens": simplelens.read_settings,
@@ -49,62 +41,6 @@ SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
 takes any, those of an aperture."""
 
 
-class CellTask(NamedTuple):
-    """All that the spreadlets of one cell depend on; the others of its directions are left out."""
-
-    grid: PsfGrid
-    cell: int
-    directions: tuple[int, ...]
-    density: float
-    rays: int | None
-    seed: int
-
-
-def build_cell(task: CellTask) -> list[CellRecord]:
-    """Trace and sparsify one cell in each of the task's directions; the result depends on the task alone."""
-    with _single_threaded():
-        return [
-            _build_record(task, number) if number in task.directions else absent_record(task.grid, task.cell, number)
-            for number in range(len(task.grid.directions(task.cell)))
-        ]
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Keep kernels and linear algebra on one thread: cells run side by side, and no sum depends on a thread count."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        numba.set_num_threads(threads)
-
-
-def _build_record(task: CellTask, number: int) -> CellRecord:
-    """Trace and sparsify one direction of a cell."""
-    direction = float(task.grid.directions(task.cell)[number])
-    seed = int(np.random.SeedSequence((task.seed, task.cell, number)).generate_state(1)[0])
-    psf = trace_psf(
-        task.grid.model,
-        task.grid.box(task.cell),
-        direction=direction,
-        direction_half_width=task.grid.direction_half_width(task.cell),
-        side=task.grid.side(task.cell, number),
-        rays=task.rays,
-        seed=seed,
-    )
-    spreadlet, statistics = sparsify(psf, density=task.density, seed=seed)
-    return CellRecord(direction, spreadlet, {**statistics, "total_variation": _total_variation(psf)})
-
-
-def _total_variation(psf: npt.NDArray[np.float64]) -> float:
-    """Return the sum of absolute differences of neighbouring pixels of a PSF (H, W, C), largest over the channels."""
-    padded = np.pad(psf, ((1, 1), (1, 1), (0, 0)))
-    along = (np.abs(np.diff(padded, axis=axis)).sum(axis=(0, 1)) for axis in (0, 1))
-    return float(np.max(sum(along)))
-
-
 def build_database(
     model: str,
     path: str | os.PathLike[str],
@@ -112,12 +48,15 @@ def build_database(
     samples: int | None = None,
     max_coc: float | None = None,
     max_motion: float | None = None,
-    density: float = 1.0,
+    density: float | None = None,
     rays: int | None = None,
     only: Iterable[tuple[int, int]] | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
     seed: int = 0,
+    extend: bool = False,
     progress: Progress | None = None,
+    log: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> None:
     """Build a database of spreadlets; an interrupted build goes on where it stopped when called again.
@@ -127,23 +66,32 @@ def build_database(
     model : str
         Name of a PSF model, see `spreadlets.psf_model.MODELS`.
     path : path-like
-        The database to write. Finished cells wait in the folder ``PATH.parts`` until all are there.
+        The database to write. Finished cells wait in the folder ``PATH.parts`` until all are there. Only one process
+        at a time may build a file.
     samples : int, optional
         Number of cells to aim at; the default is the model's own.
     max_coc, max_motion : float, optional
         Range of the CoC radius and of the motion over the shutter, px; the defaults are the model's own.
-    density : float
-        Operating point: 0.5, 1 or 2 times the usual number of points (LKS Fig. 10 d).
+    density : float, optional
+        Operating point: 0.5, 1 (the default) or 2 times the usual number of points (LKS Fig. 10 d).
     rays : int, optional
         Ray budget for each PSF; the default is the tracer's own.
     only : iterable of (int, int), optional
         The (cell, direction) pairs to build; the others are left out, and reading one of them is an error.
     jobs : int, optional
-        Number of processes; the default is the number of cores.
+        Number of processes, each of one thread; the default is the number of cores.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute in place of processes of this machine.
     seed : int
-        Seed of tracing and sparsification. Equal seeds give equal databases for any number of processes.
+        Seed of tracing and sparsification. Equal seeds give equal databases for any number of workers.
+    extend : bool
+        Widen the database that is there: what it holds is kept where it is the same in the wider one, see
+        `precompute.extension`. What is not given stays as it is.
     progress : callable, optional
         Told of each finished cell.
+    log : path, optional
+        A line for each finished cell, with an estimate of what is left, is added to this file; by default to one in
+        the folder of parts, which goes with it.
     options
         Those of the model, see `SETTINGS`; None stands for the model's own value.
 
@@ -151,27 +99,46 @@ def build_database(
     ------
     InvalidParameterError
         If an argument is out of its range, or the file cannot be written.
+    BuildStoppedError
+        If the build cannot go on: the disk is full, a worker or the cluster is lost, or another process builds the
+        same file. Calling again goes on from the cells that were finished.
+    InvalidDatabaseError
+        If the database to extend cannot be read.
     """
     begin = time.perf_counter()
-    _check_arguments(samples, density, rays, jobs, seed)
-    grid = model_grid(model, samples=samples, max_coc=max_coc, max_motion=max_motion, **options)
     target = Path(path)
-    parts = target.with_name(target.name + ".parts")
-    directions = _wanted_directions(grid, only)
-    tasks = [CellTask(grid, cell, directions[cell], density, rays, seed) for cell in range(grid.n_cells)]
-    _make_folder(parts)
-    _compute_missing(tasks, parts, jobs or os.cpu_count() or 1, progress)
-    cells = [_read_part(_part_path(parts, task)) if task.directions else build_cell(task) for task in tasks]
-    provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
-    provenance["build_s"] = time.perf_counter() - begin
-    write_database(target, grid, cells, provenance)
-    shutil.rmtree(parts)
+    _check_arguments(samples, density, rays, jobs, seed)
+    ranges = {"samples": samples, "max_coc": max_coc, "max_motion": max_motion}
+    grid = build_grid(model, target, extend, **ranges, **options)
+    with ExitStack() as stack:
+        parts = stack.enter_context(open_parts(target, grid))
+        kept = Kept()
+        if extend:
+            kept = stack.enter_context(Kept.of(target, grid, density))
+            density, rays, seed = check_extension(kept, density, rays, seed)
+        density = density or 1.0
+        wanted = _wanted_directions(grid, None if only is None else {*only, *kept.places()})
+        missing = [
+            tuple(number for number in numbers if (cell, number) not in kept) for cell, numbers in enumerate(wanted)
+        ]
+        seed_cell = kept.seed_cells(grid)
+        tasks = [
+            CellTask(grid, cell, numbers, density, rays, seed, int(seed_cell[cell]))
+            for cell, numbers in enumerate(missing)
+        ]
+        shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
+        provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
+        provenance["build_s"] = time.perf_counter() - begin + kept.build_s
+        cells = (_cell(task, parts, kept) for task in tasks)
+        write_database(target, grid, cells, provenance, seed_cell if extend else None)
+        shown.ended(target)
+        parts.remove()
 
 
-def _check_arguments(samples: int | None, density: float, rays: int | None, jobs: int | None, seed: int) -> None:
+def _check_arguments(samples: int | None, density: float | None, rays: int | None, jobs: int | None, seed: int) -> None:
     if samples is not None and not 1 <= samples <= MAX_SAMPLES:
         raise InvalidParameterError(f"samples is {samples}: allowed are 1 to {MAX_SAMPLES} cells")
-    if density not in (0.5, 1.0, 2.0):
+    if density not in (None, 0.5, 1.0, 2.0):
         raise InvalidParameterError(f"density is {density}: allowed are 0.5, 1 and 2")
     if rays is not None and rays < 1:
         raise InvalidParameterError(f"rays is {rays}: at least one is needed")
@@ -179,6 +146,21 @@ def _check_arguments(samples: int | None, density: float, rays: int | None, jobs
         raise InvalidParameterError(f"jobs is {jobs}: at least one process is needed")
     if seed < 0:
         raise InvalidParameterError(f"seed is {seed}: it must not be negative")
+
+
+def build_grid(model: str, path: str | os.PathLike[str], extend: bool, **options: Any) -> PsfGrid:
+    """Return the grid that a build with these arguments has; None stands for the model's own, or the database's, value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model has no such option, refuses its value, or cannot be extended so.
+    InvalidDatabaseError
+        If there is no database to extend.
+    """
+    if extend:
+        return extended_grid(path, model, {name: value for name, value in options.items() if value is not None})
+    return model_grid(model, **options)
 
 
 def model_grid(
@@ -237,64 +219,49 @@ def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) ->
     return [tuple(sorted(each)) for each in wanted]
 
 
-def _make_folder(parts: Path) -> None:
-    try:
-        parts.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InvalidParameterError(f"cannot write beside the database: {error}") from error
-
-
-def _compute_missing(tasks: list[CellTask], parts: Path, jobs: int, progress: Progress | None) -> None:
-    """Compute the cells that have no part yet, longest first, storing each as it is finished."""
+def _compute_missing(
+    tasks: list[CellTask],
+    parts: Parts,
+    jobs: int | None,
+    scheduler: str | None,
+    log: str | os.PathLike[str],
+    progress: Progress | None,
+) -> BuildProgress:
+    """Compute the cells that have no part yet, storing each as soon as all its directions are there."""
     tasks = [task for task in tasks if task.directions]
-    missing = [task for task in tasks if not _part_path(parts, task).exists()]
-    missing.sort(key=lambda task: -len(task.directions) * float(task.grid.box(task.cell)[:, 1].prod()))
-    done = len(tasks) - len(missing)
-    if progress is not None:
-        progress(done, len(tasks))
-    workers = joblib.Parallel(n_jobs=min(jobs, max(len(missing), 1)), return_as="generator_unordered")
-    for _ in workers(joblib.delayed(_store_cell)(task, parts) for task in missing):
-        done += 1
-        if progress is not None:
-            progress(done, len(tasks))
+    missing = {task.cell: task for task in tasks if not parts.has(task)}
+    with open_workers(jobs or os.cpu_count() or 1, scheduler) as (n_workers, compute):
+        units = plan_units(list(missing.values()), n_workers)
+        cost = sum(unit.cost for unit in units)
+        shown = BuildProgress(len(tasks), len(tasks) - len(missing), cost, log, progress)
+        results = compute(units) if units else iter(())
+        for cell, finished in _cells(results, missing, shown):
+            parts.store(missing[cell], [record for each in finished for _, record in sorted(each.records.items())])
+            shown.finished(cell, sum(each.seconds for each in finished))
+    return shown
 
 
-def _store_cell(task: CellTask, parts: Path) -> None:
-    path = _part_path(parts, task)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    records = [(record.direction, record.spreadlet, dict(record.statistics)) for record in build_cell(task)]
-    arrays = {
-        "direction": np.array([direction for direction, _, _ in records]),
-        "count": np.array([spreadlet.n_points for _, spreadlet, _ in records]),
-        "direct": np.array([spreadlet.direct for _, spreadlet, _ in records]),
-        "offset_rc": np.concatenate([spreadlet.offset_rc for _, spreadlet, _ in records]),
-        "value": np.concatenate([spreadlet.value for _, spreadlet, _ in records]),
-        "statistics": np.array(json.dumps([statistics for _, _, statistics in records])),
-    }
-    with open(temporary, "wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    os.replace(temporary, path)
+def _cells(
+    results: Iterable[UnitResult], missing: Mapping[int, CellTask], shown: BuildProgress
+) -> Iterator[tuple[int, list[UnitResult]]]:
+    """Yield each cell as soon as all its units are there, its units in the order of their directions."""
+    waiting: dict[int, list[UnitResult]] = defaultdict(list)
+    for result in results:
+        shown.worked(result.cost)
+        units = waiting[result.cell]
+        units.append(result)
+        if sum(len(unit.records) for unit in units) == len(missing[result.cell].directions):
+            yield result.cell, sorted(waiting.pop(result.cell), key=lambda unit: min(unit.records))
+    if waiting:
+        raise BuildStoppedError(f"no results came back for {len(waiting)} cells; run the same command again")
 
 
-def _read_part(path: Path) -> list[CellRecord]:
-    with np.load(path, allow_pickle=False) as part:
-        start = np.concatenate([[0], np.cumsum(part["count"])])
-        offset_rc, value, direct = part["offset_rc"], part["value"], part["direct"]
-        statistics = json.loads(str(part["statistics"]))
-        return [
-            CellRecord(
-                float(direction),
-                Spreadlet(offset_rc[start[i] : start[i + 1]], value[start[i] : start[i + 1]], bool(direct[i])),
-                statistics[i],
-            )
-            for i, direction in enumerate(part["direction"])
-        ]
-
-
-def _part_path(parts: Path, task: CellTask) -> Path:
-    """Return where a cell's part lies: its name is a hash of all that the result depends on."""
-    facts = (ALGORITHM_VERSION, repr(task.grid), *task[1:])
-    return parts / f"{hashlib.sha256(repr(facts).encode()).hexdigest()[:32]}.npz"
+def _cell(task: CellTask, parts: Parts, kept: Kept) -> list[CellRecord]:
+    """Return all records of a cell: built, kept, and those that are left out."""
+    built = dict(zip(task.directions, parts.load(task), strict=True)) if task.directions else {}
+    built |= kept.records(task.cell)
+    count = len(task.grid.directions(task.cell))
+    return [built.get(number) or absent_record(task.grid, task.cell, number) for number in range(count)]
 
 
 def _parameters(grid: PsfGrid, density: float, rays: int | None) -> dict[str, Any]:

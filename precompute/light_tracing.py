@@ -34,6 +34,12 @@ MIN_RAYS = 1 << 17
 CHUNK = 1 << 16
 """Segments made at a time: bounds the memory that a trace needs (a few MB), large enough to hide NumPy's call cost."""
 
+MAX_REACH_PX = 2048
+"""Farthest that light may go from a PSF's centre, px: its images then take some gigabytes."""
+
+FOOTPRINT_POINTS = 64
+"""Points whose segments tell roughly how large a PSF is."""
+
 PILOT_POINTS = 1024
 """Points whose segments are measured to learn how many points the deposits pay for."""
 
@@ -108,11 +114,44 @@ def trace_psf(
     return _crop(psf * (model.n_channels / psf.sum()))
 
 
+def footprint(
+    model: PsfModel, box: npt.ArrayLike, *, direction: float, direction_half_width: float, side: int
+) -> float:
+    """Return about how many pixels the PSF of a cell covers, without tracing it.
+
+    Parameters
+    ----------
+    model, box, direction, direction_half_width, side
+        As for `trace_psf`.
+
+    Returns
+    -------
+    float
+        Pixels of the smallest box along the direction that holds some of the PSF's segments; for a model that is not
+        traced by segments the same for all cells.
+    """
+    ranges = _checked_box(model, box)
+    tracer = TRACERS[model.name](model, side)
+    if isinstance(tracer, Painter):
+        return 1.0
+    own = tracer.generators
+    generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
+    shift = np.full(tracer.n_dimensions, 0.5)
+    points = kronecker(0, FOOTPRINT_POINTS, FOOTPRINT_POINTS, shift, generators)
+    segments = tracer.trace(points, ranges, direction, direction_half_width)
+    return _box_area(segments, direction) if len(segments.ends) else 1.0
+
+
 def _draw_segments(
     tracer: Tracer, box: FloatArray, pose: tuple[float, float], rays: int | None, seed: int
 ) -> FloatArray:
     """Draw as many segments as the rays pay for; return the sum (H, W, C), centred."""
-    half = math.ceil(tracer.reach(box) + 0.5)
+    reach = tracer.reach(box)
+    if not reach <= MAX_REACH_PX:
+        raise InvalidParameterError(
+            f"a PSF of this cell reaches {reach:g} px; at most {MAX_REACH_PX} px are traced: narrow the model's ranges"
+        )
+    half = math.ceil(reach + 0.5)
     own = tracer.generators
     generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
 

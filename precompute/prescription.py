@@ -228,13 +228,17 @@ def read_prescription(name_or_path: str) -> Prescription:
     if not path.is_file() and name_or_path in shipped:
         path = shipped[name_or_path]
     try:
-        text = path.read_bytes()[: MAX_BYTES + 1].decode()
+        if path.exists() and not path.is_file():
+            raise IsADirectoryError("not a regular file")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise InvalidFileError(f"{path}: larger than {MAX_BYTES} bytes: this is not a lens prescription")
+        text = content.decode()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidFileError(
             f"no lens prescription {name_or_path!r}: give a text file, or a shipped name ({', '.join(shipped)})"
         ) from error
-    if len(text) > MAX_BYTES:
-        raise InvalidFileError(f"{path}: larger than {MAX_BYTES} bytes: this is not a lens prescription")
     return parse_prescription(text, str(path))
 
 

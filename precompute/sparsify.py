@@ -138,6 +138,35 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     return replace(spreadlet, offset_rc=(spreadlet.offset_rc + shift).astype(np.int16)), statistics
 
 
+def measure_spreadlet(psf: npt.ArrayLike, spreadlet: Spreadlet) -> dict[str, float]:
+    """Measure a spreadlet against the dense PSF that it stands for, as `sparsify` does.
+
+    Parameters
+    ----------
+    psf : array_like of shape (H, W, C) or (H, W)
+        As for `sparsify`.
+    spreadlet : Spreadlet
+
+    Returns
+    -------
+    dict of str to float
+        The statistics that `sparsify` returns.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the PSF is malformed.
+    """
+    checked = _checked(psf)
+    shift = _offset_of_support(checked)
+    rest, spike = split_spike(_moved(checked, -shift))
+    boxed = _on_box(rest)
+    moved = spreadlet.offset_rc.astype(np.int64) - shift
+    outside = np.maximum(np.abs(moved).max(axis=0, initial=0) - np.asarray(boxed.shape[:2]) // 2, 0)
+    boxed = np.pad(boxed, [(n, n) for n in outside] + [(0, 0)])
+    return _measured(boxed, replace(spreadlet, offset_rc=moved.astype(np.int16)), spike)[1]
+
+
 def _offset_of_support(psf: FloatArray) -> IntArray:
     """Return how far, in whole px, the middle of the light lies from the centre: an aberrated PSF is off its pixel."""
     place = np.argwhere((psf > 0).any(axis=2))

@@ -7,9 +7,11 @@ square in the PSF.
 from __future__ import annotations
 
 import base64
+import math
+import struct
 import zlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import matplotlib.image
 import numpy as np
@@ -37,6 +39,11 @@ SAMPLES_PER_PIXEL = 2
 
 MAX_SIDE = 160
 """Images are reduced to so many pixels: more than a PSF can show, and small enough to go with the database."""
+
+MAX_FILE_SIDE = 8192
+"""Most pixels in a row or column of an image that is read: 800 MB as it is unpacked."""
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 MAX_COLOUR_OFFSET = 0.5
 """Largest sideways offset of red and blue, as a share of the PSF's radius."""
@@ -72,7 +79,10 @@ def _read_light(path: str) -> FloatArray:
     """Read a PNG as linear light (h, w, 3), reduced to at most `MAX_SIDE`."""
     try:
         with open(path, "rb") as file:
+            _check_png(path, file)
             pixels = np.asarray(matplotlib.image.imread(file, format="png"), np.float64)
+    except InvalidFileError:
+        raise
     except (OSError, ValueError, SyntaxError) as error:
         raise InvalidFileError(f"{path}: not a readable PNG file: {error}") from error
     pixels = pixels if pixels.ndim == 3 else pixels[..., None]
@@ -87,6 +97,17 @@ def _read_light(path: str) -> FloatArray:
         size = [max(1, round(shrink * side)) for side in light.shape[:2]]
         light = np.maximum(_resized(light, size), 0.0)
     return np.asarray(light / light.max(), np.float64)
+
+
+def _check_png(path: str, file: BinaryIO) -> None:
+    """Refuse a file that is no PNG, or too large an image, before any pixel of it is unpacked."""
+    start = file.read(24)
+    file.seek(0)
+    if len(start) < 24 or not start.startswith(PNG_SIGNATURE):
+        raise InvalidFileError(f"{path}: not a readable PNG file")
+    width, height = struct.unpack(">II", start[16:])
+    if not 0 < max(width, height) <= MAX_FILE_SIDE:
+        raise InvalidFileError(f"{path}: has {width} x {height} px; at most {MAX_FILE_SIDE} x {MAX_FILE_SIDE} are read")
 
 
 def _resized(light: FloatArray, size: list[int]) -> FloatArray:
@@ -107,7 +128,10 @@ def encode(light: FloatArray) -> dict[str, Any]:
 
 def decode(stored: Mapping[str, Any]) -> FloatArray:
     """Return the light (h, w, 3) that `encode` stored."""
-    data = zlib.decompress(base64.b64decode(stored["u16"]))
+    size = math.prod(stored["shape"]) * 2
+    if not 0 < size <= 2 * MAX_SIDE * MAX_SIDE * 3:
+        raise InvalidParameterError(f"the image of the PSF has the shape {stored['shape']}; its sides end at {MAX_SIDE}")
+    data = zlib.decompressobj().decompress(base64.b64decode(stored["u16"]), size)
     return np.frombuffer(data, "<u2").reshape(stored["shape"]) / 65535.0
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database, open_database
+from spreadlets.database_file import refusing
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
 from spreadlets.sample_buffer import SampleBuffer
@@ -259,23 +260,32 @@ def build_database(
         Lens and shutter for `frames`, and for models that depend on the camera.
     """
     from precompute.build import build_database as build
-    from precompute.build import model_grid, takes_option
+    from precompute.build import build_grid, takes_option
 
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
-    if camera is not None and takes_option(model, "camera"):
+    extend = bool(options.get("extend"))
+    if camera is not None and takes_option(model, "camera") and not extend:
         options["camera"] = camera
     elif camera is not None and frames is None:
         raise InvalidParameterError(f"the model {model!r} takes a camera only together with the frames to build for")
-    if frames and takes_option(model, "width") and options.get("width") is None:
+    if frames and takes_option(model, "width") and options.get("width") is None and not extend:
         options["width"] = frames[0].shape[1]
     if frames is not None and camera is not None:
         from runtime.plan import needed_spreadlets
 
-        of_build = ("density", "rays", "jobs", "seed", "progress")
-        grid = model_grid(model, **{name: value for name, value in options.items() if name not in of_build})
+        of_build = ("density", "rays", "jobs", "scheduler", "seed", "extend", "progress", "log")
+        settings = {name: value for name, value in options.items() if name not in of_build}
+        grid = build_grid(model, path, extend, **settings)
         options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))
     build(model, path, **options)
+
+
+def verify_database(database: Database, **options: Any) -> dict[str, Any]:
+    """Check an open database against its recorded figures; see `precompute.verification.verify_database`."""
+    from precompute.verification import verify_database as verify
+
+    return verify(database, **options)
 
 
 def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
@@ -298,10 +308,11 @@ class DensePsfs:
 
         grid = self.database.grid
         stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
-        return trace_psf(
-            grid.model,
-            grid.box(cell) * stretch,
-            direction=float(self.database.directions(cell)[direction]),
-            direction_half_width=grid.direction_half_width(cell),
-            side=grid.side(cell, direction),
-        )
+        with refusing(self.database.path):  # the model's settings are the file's
+            return trace_psf(
+                grid.model,
+                grid.box(cell) * stretch,
+                direction=float(self.database.directions(cell)[direction]),
+                direction_half_width=grid.direction_half_width(cell),
+                side=grid.side(cell, direction),
+            )

@@ -167,6 +167,8 @@ def read_camera(path: str | os.PathLike[str]) -> ThinLens:
 
 def _read_object(path: Path) -> Mapping[str, object]:
     """Return the JSON object in a file of at most `MAX_CAMERA_BYTES`."""
+    if path.exists() and not path.is_file():
+        raise InvalidCameraError("the camera file cannot be read: it is not a regular file")
     try:
         with path.open("rb") as file:
             text = file.read(MAX_CAMERA_BYTES + 1)

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from spreadlets.errors import AmbiguousInputWarning, SpreadletsError
+from spreadlets.errors import AmbiguousInputWarning, BuildStoppedError, SpreadletsError
 
 BAR_WIDTH = 40
 """Characters of the whole time in the chart of steps."""
@@ -68,7 +68,7 @@ def cli() -> None:
 @click.option("--samples", type=click.IntRange(min=1), help="Number of cells (default: the model's own).")
 @click.option("--max-coc", type=float, help="Largest CoC radius, px.")
 @click.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
-@click.option("--density", type=click.Choice(["0.5", "1", "2"]), default="1", help="Points, times the usual number.")
+@click.option("--density", type=click.Choice(["0.5", "1", "2"]), help="Points, times the usual number (default: 1).")
 @click.option("--lens", help="physicallens: a prescription file, or singlet, doublet, double_gauss (shipped).")
 @click.option("--width", type=click.IntRange(min=1), help="physicallens, volume: width of the frames to come, px.")
 @click.option("--image", help="stylized: the PSF (PNG).")
@@ -90,12 +90,15 @@ def cli() -> None:
 @click.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
 @click.option("--camera", "camera_path", help="Camera file (JSON): of those frames; for physicallens and volume.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler (HOST:PORT).")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
+@click.option("--extend", is_flag=True, help="Widen the database OUTPUT: its range, its density, or for more frames.")
+@click.option("--log", type=click.Path(dir_okay=False), help="Add a line for each finished cell to this file.")
 @json_option
 def build(
     model: str,
     output: str,
-    density: str,
+    density: str | None,
     frame_paths: tuple[str, ...],
     camera_path: str | None,
     as_json: bool,
@@ -105,7 +108,8 @@ def build(
 
     Options that start with a model's name belong to that model.
 
-    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there.
+    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there. With --extend,
+    what is not given stays as it is, and what is there is kept.
 
     Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
 
@@ -123,7 +127,7 @@ def build(
     if frame_paths:
         options["frames"] = [read_frame(path) for path in frame_paths]
     with _progress(f"building {model}", quiet=as_json) as progress:
-        build_database(model, output, density=float(density), progress=progress, **options)
+        build_database(model, output, density=float(density) if density else None, progress=progress, **options)
     with open_database(output) as database:
         _print(database.summary(), as_json)
 
@@ -131,12 +135,22 @@ def build(
 @cli.command()
 @click.argument("target", metavar="DB|FRAME.exr")
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells of a DB (PNG).")
+@click.option("--verify", is_flag=True, help="Check every cell of a DB against its recorded figures; takes a while.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes for --verify (default: all cores).")
 @click.option("--camera", "camera_path", type=click.Path(dir_okay=False), help="Camera file (JSON) of a frame.")
 @input_options
 @json_option
 @click.pass_context
 def info(
-    context: click.Context, /, target: str, plot: str | None, camera_path: str | None, as_json: bool, **options: Any
+    context: click.Context,
+    /,
+    target: str,
+    plot: str | None,
+    verify: bool,
+    jobs: int | None,
+    camera_path: str | None,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Show what a database holds and how good it is (a file or a shipped name), or how a frame would be read.
 
@@ -148,8 +162,8 @@ def info(
     from spreadlets.frame_info import is_frame_file
 
     if is_frame_file(target):
-        if plot:
-            raise click.UsageError("--plot is for databases")
+        if plot or verify:
+            raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
         _print(_frame_info(target, camera_path, options), as_json)
         return
     given = [name for name in ("camera_path", *options) if context.get_parameter_source(name) is not _DEFAULT]
@@ -157,7 +171,9 @@ def info(
         raise click.UsageError(
             f"{target} is no frame: --camera and the options of reading a frame are not for databases"
         )
-    _database_info(target, plot, as_json)
+    if jobs and not verify:
+        raise click.UsageError("--jobs is for --verify")
+    _database_info(target, plot, as_json, (verify, jobs))
 
 
 def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> dict[str, Any]:
@@ -172,14 +188,20 @@ def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> 
     return frame_info(path, ReadOptions(**settings, scale=scale))
 
 
-def _database_info(database: str, plot: str | None, as_json: bool) -> None:
-    from spreadlets.api import plot_database
+def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:
+    """Print the summary of a database, verified if that is asked for: then a bad one is an error."""
+    from spreadlets.api import plot_database, verify_database
     from spreadlets.database import open_database
 
+    verify, jobs = verification
     with open_database(database) as opened:
         if plot:
             plot_database(opened, plot)
-        _print(opened.summary(), as_json)
+        figures = opened.summary()
+        if verify:
+            with _progress(f"verifying {opened.path.name}", quiet=as_json) as progress:
+                figures["verified"] = verify_database(opened, jobs=jobs, progress=progress)
+        _print(figures, as_json)
 
 
 def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
@@ -518,19 +540,28 @@ def stability(out: str, quick: bool, only: str | None, as_json: bool) -> None:
 
 
 @contextmanager
-def _progress(title: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar with an estimate on standard error, from the first report of progress on."""
+def _progress(title: str, *, quiet: bool) -> Iterator[Callable[..., None]]:
+    """Show a bar with an estimate on standard error, from the first report of progress on.
+
+    What is yielded takes the numbers of what is done and of all, and the seconds left, if the caller knows better than
+    by counting.
+    """
+    from datetime import timedelta
+
     from rich import progress as bar
     from rich.console import Console
 
     columns = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
-    times = bar.TimeElapsedColumn(), bar.TextColumn("left"), bar.TimeRemainingColumn()
+    times = bar.TimeElapsedColumn(), bar.TextColumn("{task.fields[left]}")
     shown = bar.Progress(*columns, *times, console=Console(stderr=True), disable=quiet)
-    task = shown.add_task(title, total=None)
+    task = shown.add_task(title, total=None, left="")
 
-    def report(done: int, total: int) -> None:
+    def report(done: int, total: int, *left_s: float | None) -> None:
         shown.start()
         shown.update(task, completed=done, total=total)
+        left = next(iter(left_s), None)
+        left = shown.tasks[0].time_remaining if left is None else left
+        shown.update(task, left="" if left is None else f"left {timedelta(seconds=round(left))}")
 
     try:
         yield report
@@ -596,6 +627,9 @@ def main() -> None:
     except click.ClickException as error:
         click.echo(f"error: {error.format_message()}", err=True)
         sys.exit(EXIT_BAD_INPUT)
+    except BuildStoppedError as error:
+        click.echo("stopped: " + " ".join(str(error).split()), err=True)
+        sys.exit(EXIT_FAILURE)
     except SpreadletsError as error:
         click.echo("error: " + " ".join(str(error).split()), err=True)
         sys.exit(EXIT_BAD_INPUT)

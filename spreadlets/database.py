@@ -1,121 +1,55 @@
-"""The spreadlet database: one HDF5 file, written atomically, validated on opening, read cell by cell."""
+"""The spreadlet database: opened and validated, read cell by cell; `spreadlets.database_file` knows its schema."""
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.database_file import (
+    MAX_CELLS,
+    MAX_OFFSET,
+    MAX_POINTS,
+    MAX_POINTS_OF_ONE,
+    MAX_RANGE,
+    MAX_SPREADLETS,
+    MAX_VALUE,
+    STATISTICS,
+    CellRecord,
+    absent_record,
+    json_object,
+    open_checked,
+    read_rows,
+    read_starts,
+    read_table,
+    read_text,
+    refusing,
+    require,
+    text_attribute,
+    write_database,
+)
 from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
+from spreadlets.grid import NestedGrid
 from spreadlets.psf_model import PsfGrid, get_model
 from spreadlets.spreadlet import Spreadlet
 
-FORMAT_NAME = "spreadlets"
-SCHEMA_VERSION = 1
-STATISTICS = ("n_support", "sparsity", "ssim", "l1", "energy_error", "max_value_ratio", "total_variation")
-"""Names of the figures that every stored spreadlet carries, in the file's column order."""
-
-MAX_CELLS = 1_000_000
-MAX_SPREADLETS = 20_000_000
-MAX_POINTS = 2_000_000_000
-MAX_OFFSET = 16_384
-MAX_SETTINGS_BYTES = 1 << 22
-"""Limits that a file is held to before memory is taken for what it claims to hold; an offset is in pixels."""
+__all__ = ["STATISTICS", "CellRecord", "Database", "absent_record", "open_database", "write_database"]
 
 MAX_GAP_POINTS = 4096
 """Spreadlets with at most so many points between them are read together: less than a chunk's worth of decompression."""
-CHUNK_POINTS = 8192
-"""Points that are compressed together: small enough to read a few cells, large enough to compress well."""
 
+MAX_POSES = 1 << 20
+"""Most directions that a cell may have, far more than the sharpest line needs: a file says it by its ranges."""
 
-class CellRecord(NamedTuple):
-    """One direction of one cell, as the build hands it over: where, what, and how good."""
-
-    direction: float
-    spreadlet: Spreadlet
-    statistics: Mapping[str, float]
-
-
-def absent_record(grid: PsfGrid, cell: int, direction: int) -> CellRecord:
-    """Return the record of a direction that is left out: it has no points, and reading it is an error."""
-    empty = Spreadlet(np.zeros((0, 2), np.int16), np.zeros((0, grid.model.n_channels), np.float32))
-    return CellRecord(float(grid.directions(cell)[direction]), empty, dict.fromkeys(STATISTICS, 0.0))
-
-
-def write_database(
-    path: str | os.PathLike[str],
-    grid: PsfGrid,
-    cells: Iterable[list[CellRecord]],
-    provenance: Mapping[str, Any],
-) -> None:
-    """Write a database beside its final name, then rename it, so that no half-written file is ever seen.
-
-    Parameters
-    ----------
-    path : path-like
-        The final file name; an existing file is replaced.
-    grid : PsfGrid
-        The model and its cells.
-    cells : iterable of list of CellRecord
-        For each cell in index order its records, one for each of ``grid.directions(cell)``.
-    provenance : mapping
-        JSON-serialisable facts on how the file was made (seed, versions, settings, build time).
-    """
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        with h5py.File(temporary, "w") as file:
-            _write_header(file, grid, provenance)
-            _write_cells(file, list(cells))
-        os.replace(temporary, target)
-    except OSError as error:
-        raise InvalidParameterError(f"cannot write the database {str(target)!r}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _write_header(file: h5py.File, grid: PsfGrid, provenance: Mapping[str, Any]) -> None:
-    file.attrs["format"] = FORMAT_NAME
-    file.attrs["version"] = SCHEMA_VERSION
-    file.attrs["model"] = grid.model.name
-    file.attrs["shape"] = np.asarray(grid.shape, dtype=np.int64)
-    file.attrs["maximum"] = np.asarray([axis.maximum for axis in grid.model.axes], dtype=np.float64)
-    file.attrs["power"] = np.asarray([axis.power for axis in grid.model.axes], dtype=np.float64)
-    file.attrs["floor"] = np.asarray([axis.floor for axis in grid.model.axes], dtype=np.float64)
-    file.attrs["direction_step_px"] = grid.direction_step_px
-    file.attrs["provenance"] = json.dumps(dict(provenance), sort_keys=True)
-    if grid.model.settings:
-        text = json.dumps(dict(grid.model.settings), sort_keys=True).encode()
-        file.create_dataset("settings", data=np.frombuffer(text, np.uint8), compression="gzip", compression_opts=9)
-
-
-def _write_cells(file: h5py.File, cells: list[list[CellRecord]]) -> None:
-    records = [record for cell in cells for record in cell]
-    counts = [record.spreadlet.n_points for record in records]
-    compressed: dict[str, Any] = {"compression": "gzip", "compression_opts": 9, "shuffle": True, "fletcher32": True}
-    file["cell_start"] = _starts([len(cell) for cell in cells])
-    file["point_start"] = _starts(counts)
-    file["direction"] = np.asarray([record.direction for record in records], dtype=np.float64)
-    file["direct"] = np.asarray([record.spreadlet.direct for record in records], dtype=np.uint8)
-    table = np.asarray([[record.statistics[name] for name in STATISTICS] for record in records], dtype=np.float32)
-    file.create_dataset("statistics", data=table, **compressed)
-    offsets = np.concatenate([record.spreadlet.offset_rc for record in records])
-    values = np.concatenate([record.spreadlet.value for record in records])
-    rows = min(CHUNK_POINTS, len(offsets))
-    file.create_dataset("offset_rc", data=offsets.astype(np.int16), chunks=(rows, 2), **compressed)
-    file.create_dataset("value", data=values.astype(np.float32), chunks=(rows, values.shape[1]), **compressed)
-
-
-def _starts(counts: list[int]) -> npt.NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+DIRECTION_TOLERANCE = 1e-9
+"""rad by which a stored direction may differ from the grid's."""
 
 
 class Database:
@@ -139,6 +73,8 @@ class Database:
         Whether the points are the PSF's own pixels rather than its Laplacian's.
     point_start : ndarray of shape (n_spreadlets + 1,), int64
         The points of each spreadlet in the file's point tables.
+    seed_cell : ndarray of shape (n_cells,), int64
+        The number of each cell that went into its seed: its own, unless the database was extended.
     """
 
     def __init__(self, file: h5py.File, path: Path) -> None:
@@ -146,16 +82,27 @@ class Database:
         self.path = path
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = _read_provenance(file)
-        self.cell_start = _read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1)
+        self.cell_start = read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1, MAX_POSES)
         if not np.array_equal(np.diff(self.cell_start), self.grid.pose_counts):
             raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
         n_spreadlets = int(self.cell_start[-1])
-        self.point_start = _read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0)
-        self.direction = _read_table(file, "direction", (n_spreadlets,), np.float64)
-        self.direct = _read_table(file, "direct", (n_spreadlets,), np.uint8).astype(bool)
+        self.point_start = read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0, MAX_POINTS_OF_ONE)
+        self.direction = read_table(file, "direction", (n_spreadlets,), np.float64)
+        expected = np.concatenate([self.grid.directions(cell) for cell in range(self.grid.n_cells)])
+        if np.abs(self.direction - expected).max() > DIRECTION_TOLERANCE:
+            raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
+        direct = read_table(file, "direct", (n_spreadlets,), np.uint8)
+        if direct.max() > 1:
+            raise InvalidDatabaseError(f"{path}: dataset 'direct' holds {direct.max()}; allowed are 0 and 1")
+        self.direct = direct.astype(bool)
         n_points = int(self.point_start[-1])
-        _require(file, "offset_rc", (n_points, 2), np.int16)
-        _require(file, "value", (n_points, self.n_channels), np.float32)
+        require(file, "offset_rc", (n_points, 2), np.int16)
+        require(file, "value", (n_points, self.n_channels), np.float32)
+        self.seed_cell = np.arange(self.grid.n_cells)
+        if "seed_cell" in file:
+            self.seed_cell = read_table(file, "seed_cell", (self.grid.n_cells,), np.int64)
+            if self.seed_cell.min() < 0:
+                raise InvalidDatabaseError(f"{path}: dataset 'seed_cell' holds a negative number")
 
     @property
     def n_cells(self) -> int:
@@ -230,21 +177,28 @@ class Database:
 
     def _read_points(self, begin: int, end: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.float32]]:
         """Read a range of the point tables and validate it."""
-        try:
-            offset_rc = self._file["offset_rc"][begin:end]
-            value = self._file["value"][begin:end]
-        except OSError as error:
-            raise InvalidDatabaseError(f"{self.path}: points {begin} to {end} cannot be read: {error}") from error
+        with refusing(self.path):
+            offset_rc = read_rows(self._file, "offset_rc", begin, end)
+            value = read_rows(self._file, "value", begin, end)
         bad = ~np.isfinite(value).all(axis=1)
         if bad.any():
             raise InvalidDatabaseError(f"{self.path}: point {begin + int(bad.argmax())} has a value that is not finite")
+        if np.abs(value).max(initial=0.0) > MAX_VALUE:
+            raise InvalidDatabaseError(f"{self.path}: points {begin} to {end} have a value above {MAX_VALUE:g}")
         if np.abs(offset_rc.astype(np.int32)).max(initial=0) > MAX_OFFSET:
             raise InvalidDatabaseError(f"{self.path}: points {begin} to {end} have an offset above {MAX_OFFSET} px")
         return offset_rc, value
 
     def statistics(self) -> dict[str, npt.NDArray[np.float32]]:
-        """Read the recorded figures of every spreadlet: name to array of shape (n_spreadlets,)."""
-        table = _read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
+        """Read the recorded figures of every spreadlet: name to array of shape (n_spreadlets,).
+
+        Raises
+        ------
+        InvalidDatabaseError
+            If they cannot be read, or are not finite.
+        """
+        with refusing(self.path):
+            table = read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
         return {name: table[:, column] for column, name in enumerate(STATISTICS)}
 
     def summary(self) -> dict[str, Any]:
@@ -301,17 +255,13 @@ def open_database(name_or_path: str | os.PathLike[str]) -> Database:
         If there is no such file, or it is truncated, malformed, or of another version.
     """
     path = _resolve(name_or_path)
+    file = open_checked(path)
     try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise InvalidDatabaseError(f"{path}: not a readable HDF5 file (truncated or another format)") from error
-    try:
-        return Database(file, path)
-    except (KeyError, TypeError, OSError, RuntimeError, ValueError) as error:
+        with refusing(path):
+            return Database(file, path)
+    except InvalidDatabaseError:
         file.close()
-        if isinstance(error, InvalidDatabaseError):
-            raise
-        raise InvalidDatabaseError(f"{path}: malformed database: {error}") from error
+        raise
 
 
 def shipped_folders() -> list[Path]:
@@ -333,67 +283,30 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def _read_grid(file: h5py.File) -> PsfGrid:
-    if file.attrs.get("format") != FORMAT_NAME:
-        raise InvalidDatabaseError(f"{file.filename}: not a spreadlet database (no format mark)")
-    version = int(file.attrs.get("version", -1))
-    if version != SCHEMA_VERSION:
-        raise InvalidDatabaseError(
-            f"{file.filename}: database version {version}, this program reads version {SCHEMA_VERSION}; rebuild it"
-        )
-    shape = tuple(int(size) for size in np.asarray(file.attrs["shape"]))
-    model = get_model(str(file.attrs["model"]), settings=_read_settings(file))
-    ranges = np.stack([file.attrs[name] for name in ("maximum", "power", "floor")], axis=-1)
+    """Read the model and its cells; ranges are checked before anything is made as large as they say."""
+    shape = tuple(int(size) for size in np.atleast_1d(file.attrs["shape"]))
+    model = get_model(text_attribute(file, "model"), settings=read_text(file, "settings"))
+    ranges = np.stack([np.atleast_1d(file.attrs[name]) for name in ("maximum", "power", "floor")], axis=-1)
     if not len(shape) == len(ranges) == model.n_axes or not all(0 < size <= MAX_CELLS for size in shape):
         raise InvalidDatabaseError(f"{file.filename}: grid shape {shape} does not fit model {model.name!r}")
+    if not (np.abs(ranges) <= MAX_RANGE).all():
+        raise InvalidDatabaseError(f"{file.filename}: the axes end at {ranges[:, 0].tolist()}, beyond {MAX_RANGE:g}")
+    if NestedGrid(shape).n_cells > MAX_CELLS:
+        raise InvalidDatabaseError(f"{file.filename}: more than {MAX_CELLS} cells")
     axes = [
         replace(axis, maximum=float(maximum), power=float(power), floor=float(floor))
         for axis, (maximum, power, floor) in zip(model.axes, ranges, strict=True)
     ]
-    return PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
-
-
-def _read_settings(file: h5py.File) -> dict[str, Any]:
-    """Read what the model depends on beside its axes; the models of the first databases have none."""
-    if "settings" not in file:
-        return {}
-    stored = file["settings"]
-    if not isinstance(stored, h5py.Dataset) or stored.dtype != np.uint8 or stored.size > MAX_SETTINGS_BYTES:
-        raise InvalidDatabaseError(f"{file.filename}: the model's settings are not up to {MAX_SETTINGS_BYTES} bytes")
-    settings = json.loads(stored[...].tobytes())
-    if not isinstance(settings, dict):
-        raise InvalidDatabaseError(f"{file.filename}: the model's settings are not a JSON object")
-    return settings
+    grid = PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
+    if not 0 < grid.pose_counts.min() <= grid.pose_counts.max() <= MAX_POSES:
+        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_POSES} directions of a cell")
+    if grid.pose_counts.sum() > MAX_SPREADLETS:
+        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_SPREADLETS} directions")
+    return grid
 
 
 def _read_provenance(file: h5py.File) -> dict[str, Any]:
-    provenance = json.loads(str(file.attrs["provenance"]))
-    if not isinstance(provenance, dict):
-        raise InvalidDatabaseError(f"{file.filename}: provenance is not a JSON object")
-    return provenance
-
-
-def _require(file: h5py.File, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> h5py.Dataset:
-    dataset = file.get(name)
-    if not isinstance(dataset, h5py.Dataset):
-        raise InvalidDatabaseError(f"{file.filename}: dataset {name!r} is missing")
-    if dataset.shape != shape or dataset.dtype != np.dtype(dtype):
-        raise InvalidDatabaseError(
-            f"{file.filename}: dataset {name!r} is {dataset.shape} {dataset.dtype}, expected {shape} {np.dtype(dtype)}"
-        )
-    return dataset
-
-
-def _read_table(file: h5py.File, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    table: npt.NDArray[Any] = _require(file, name, shape, dtype)[...]
-    if table.dtype.kind == "f" and not np.isfinite(table).all():
-        raise InvalidDatabaseError(f"{file.filename}: dataset {name!r} holds a value that is not finite")
-    return table
-
-
-def _read_starts(file: h5py.File, name: str, count: int, limit: int, least: int) -> npt.NDArray[np.int64]:
-    if count > limit:
-        raise InvalidDatabaseError(f"{file.filename}: {count} entries in {name!r} exceed the limit of {limit}")
-    starts = _read_table(file, name, (count + 1,), np.int64)
-    if starts[0] != 0 or (np.diff(starts) < least).any() or starts[-1] > limit:
-        raise InvalidDatabaseError(f"{file.filename}: {name!r} is not a list of rising starts from 0 up to {limit}")
-    return starts
+    """Read how the file was made; the first version has it in an attribute."""
+    if "provenance" in file.attrs:
+        return json_object(file, "provenance", text_attribute(file, "provenance"))
+    return read_text(file, "provenance")

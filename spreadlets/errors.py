@@ -25,5 +25,12 @@ class InvalidParameterError(SpreadletsError):
     """An option or argument is out of its allowed range, or names something unknown."""
 
 
+class BuildStoppedError(SpreadletsError):
+    """A build stopped before its end: no room, a worker or the cluster lost, or another build at work.
+
+    Its finished cells are kept, and the same build goes on from them.
+    """
+
+
 class AmbiguousInputWarning(UserWarning):
     """An image file's depth or motion can be read in several ways; the message says which was taken, and the remedy."""

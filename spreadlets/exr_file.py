@@ -31,6 +31,19 @@ MAX_VALUES = 1 << 30
 
 FLOAT_BYTES = 4
 
+LEAST_BYTES = 2
+"""Of a stored value: a half."""
+
+EXPANSION: Mapping[Any, int] = {
+    OpenEXR.NO_COMPRESSION: 1,
+    OpenEXR.RLE_COMPRESSION: 64,
+    OpenEXR.ZIPS_COMPRESSION: 1032,
+    OpenEXR.ZIP_COMPRESSION: 1032,
+    OpenEXR.PXR24_COMPRESSION: 2064,
+}
+"""Most values of a byte that one stored byte can stand for: runs of 128 in 2 bytes; deflate's 1032, twice that where
+the library drops a byte first. The other compressions have no useful bound."""
+
 LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
 """What the OpenEXR binding raises on files and headers that it cannot handle."""
 
@@ -174,7 +187,7 @@ def library_messages() -> Iterator[list[str]]:
 
 def check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], *, deep: bool = False) -> None:
     """Raise InvalidFileError before any pixel is read if a file is larger than `MAX_VALUES`, or deep if not allowed."""
-    total = 0
+    total = stored = 0
     for header in headers:
         if is_deep(header) and not deep:
             raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read here")
@@ -186,10 +199,23 @@ def check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], *, deep:
         if display != window(headers[0]["displayWindow"]):
             raise InvalidFileError(f"{path}: its parts have different display windows")
         total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
+        if not is_deep(header):
+            stored += _least_stored(header, data)
     if any(is_deep(header) for header in headers):
         total += deep_sample_bytes(path) // FLOAT_BYTES
     if total > MAX_VALUES:
         raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
+    if stored > os.path.getsize(path):
+        raise InvalidFileError(f"{path}: is too short for the {total} values that it promises: truncated or corrupt")
+
+
+def _least_stored(header: Mapping[str, Any], data: Window) -> int:
+    """Return the fewest bytes that a flat part can take in a file."""
+    expansion = EXPANSION.get(header.get("compression"))
+    if expansion is None:
+        return 0
+    values = sum(data.width * data.height // (each.xSampling * each.ySampling) for each in header["channels"])
+    return values * LEAST_BYTES // expansion
 
 
 def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:

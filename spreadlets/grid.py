@@ -24,6 +24,11 @@ MAX_SIDE_DIFFERENCE = 3
 """How far the sides of a shape may differ in `nested_shape`: enough to reach most counts, still nearly cubic."""
 
 
+MAX_UNITS = 1 << 22
+"""Most unit boxes of a grid: each takes a few bytes where a frame is planned. In one dimension they allow 2896 cells,
+in two some 20 000."""
+
+
 def _level_counts(shape: tuple[int, ...], level: int) -> tuple[int, ...]:
     """Return the number of cells per axis at ``level``, counting also those that belong to later levels."""
     start = level * (level + 1) // 2
@@ -65,6 +70,10 @@ class NestedGrid:
         if not self.shape or any(int(side) != side or side < 1 for side in self.shape):
             raise InvalidParameterError(f"a grid needs one or more sides, each an integer of at least 1: {self.shape}")
         object.__setattr__(self, "shape", tuple(int(side) for side in self.shape))
+        if math.prod(self.shape) > MAX_UNITS:
+            raise InvalidParameterError(
+                f"a grid of {self.shape} units is too large: at most {MAX_UNITS}; ask for fewer cells"
+            )
 
     @property
     def n_axes(self) -> int:
@@ -92,11 +101,11 @@ class NestedGrid:
         boxes = []
         for level in range(len(self.level_offset)):
             start = level_start(level)
-            for k in itertools.product(*(range(count) for count in _level_counts(self.shape, level))):
-                if min(k) == 0:
-                    low = [start + i * (level + 1) for i in k]
-                    boxes.append([(a, min(a + level + 1, side)) for a, side in zip(low, self.shape, strict=True)])
-        return np.array(boxes, dtype=np.float64)
+            counts = _level_counts(self.shape, level)
+            k = np.indices(counts).reshape(len(counts), -1).T
+            low = start + (level + 1) * k[k.min(axis=1) == 0]
+            boxes.append(np.stack([low, np.minimum(low + level + 1, self.shape)], axis=-1))
+        return np.concatenate(boxes).astype(np.float64)
 
     def boxes(self) -> npt.NDArray[np.float64]:
         """Return every cell's box, the inverse map.

@@ -180,6 +180,8 @@ def _checked_shutter(shutter: tuple[float, float]) -> tuple[float, float]:
 def _read_header(path: PathLike) -> _Header:
     """Return the parsed header; it is checked before any sample is read."""
     name = os.fspath(path) + HEADER_SUFFIX
+    if os.path.exists(name) and not os.path.isfile(name):
+        raise InvalidFileError(f"{name}: is not a regular file")
     try:
         with open(name, "rb") as file:
             text = file.read(MAX_HEADER_BYTES + 1).decode("ascii", errors="replace")
