@@ -1,0 +1,116 @@
+"""SLR's reconstruction of defocus, with sheared or axis-aligned filters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from runtime.sheared import _slr_kernels
+from runtime.sheared.filters import (
+    APERTURES,
+    LARGEST_SIGMA,
+    REACH,
+    SIGMA_LENS,
+    SIGMA_PIXEL,
+    Aperture,
+    Filters,
+    axis_aligned_filters,
+    sheared_filters,
+    with_uniform_lens,
+)
+from runtime.sheared.layers import Layers, find_layers
+from runtime.sheared.method import Image
+from runtime.sheared.partitions import PER_SIDE, Partitioning
+from runtime.sheared.samples import Samples
+from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
+from spreadlets.errors import InvalidParameterError
+
+
+@dataclass(frozen=True)
+class Slr:
+    """SLR's layered reconstruction; motion is left to the mean over the samples.
+
+    Attributes
+    ----------
+    sheared : bool
+        Sheared filters, or axis-aligned ones.
+    aperture : {"disc", "gaussian"}
+        How the samples lie on the lens: evenly on the unit disc, as renderers have them, or as SLR has them, to be
+        weighted by a Gaussian that the disc cuts at three standard deviations.
+    bilinear : bool
+        Spread reprojected samples over four pixels instead of adding them to the nearest.
+    actual_range : bool
+        Filters for the CoC that a tile has, or for all that its partitions may have.
+    tile : int
+        Side of a tile, px.
+    per_side : int
+        Partitions on either side of focus.
+    sigma_pixel : float
+        Standard deviation of the pixel filter, px.
+    """
+
+    sheared: bool = True
+    aperture: Aperture = "disc"
+    bilinear: bool = False
+    actual_range: bool = True
+    tile: int = DEFAULT_TILE
+    per_side: int = PER_SIDE
+    sigma_pixel: float = SIGMA_PIXEL
+
+    def __post_init__(self) -> None:
+        if self.aperture not in APERTURES:
+            raise InvalidParameterError(f"aperture {self.aperture!r} is unknown: allowed are {', '.join(APERTURES)}")
+
+    def tiling(self, shape: tuple[int, int]) -> Tiling:
+        """Divide an image into tiles, with the border that screen filter and reprojection reach."""
+        farthest = LARGEST_SIGMA / (2.0 * SIGMA_LENS[self.aperture])  # of Eq. 22: where c = sigma_x / sigma_u
+        return Tiling(shape, REACH + CELL * int(np.ceil(farthest / CELL)), self.tile)
+
+    def filters(self, layers: Layers) -> Filters:
+        """Set up the filter of each layer."""
+        make = sheared_filters if self.sheared else axis_aligned_filters
+        found = make(layers.near, layers.far, SIGMA_LENS[self.aperture], self.sigma_pixel)
+        return with_uniform_lens(found, layers.near, layers.far) if self.aperture == "disc" else found
+
+    def prepare(self, samples: Samples, tiling: Tiling) -> _SlrTiles:
+        """Find the layers of each tile and set their filters up."""
+        partitioning = Partitioning.of_constant_energy(self.per_side)
+        partition = partitioning.of(samples)
+        layers = find_layers(samples, partition, partitioning, tiling, actual_range=self.actual_range)
+        return _SlrTiles(self, samples, partition, layers, self.filters(layers), tiling)
+
+
+@dataclass(frozen=True)
+class _SlrTiles:
+    """What `Slr.prepare` found."""
+
+    method: Slr
+    samples: Samples
+    partition: np.ndarray[tuple[int], np.dtype[np.uint8]]
+    layers: Layers
+    set_up: Filters
+    tiling: Tiling
+    boxes: tuple[np.ndarray, np.ndarray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boxes", (self.tiling.inner(), self.tiling.outer()))
+
+    def __call__(self, tile: int, image: Image) -> None:
+        """Fill the pixels of a tile."""
+        given, here = self.samples, slice(*self.layers.first[tile : tile + 2])
+        _slr_kernels.filter_tile(
+            (given.colour, given.place, given.lens, given.first, given.shape[1]),
+            self.partition,
+            self.layers.slot[tile],
+            tuple(each[here] for each in self.set_up),
+            self.boxes[0][tile],
+            self.boxes[1][tile],
+            REACH,
+            self.method.bilinear,
+            image,
+        )
+
+    def figures(self) -> dict[str, float]:
+        """Return the mean number of layers in a tile."""
+        return {"layers_per_tile": self.layers.per_tile}
