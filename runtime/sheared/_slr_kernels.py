@@ -59,7 +59,7 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, bilinear, su
 
 @numba.njit(cache=True, fastmath=False, nogil=True, inline="always")
 def add(sums, row, col, weight, colour, seen):
-    """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if it lies within."""
+    """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if within."""
     if 0 <= row < sums.shape[0] and 0 <= col < sums.shape[1]:
         sums[row, col, MET] += weight
         if seen:

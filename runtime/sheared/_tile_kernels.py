@@ -1,6 +1,6 @@
 """Compiled kernels that every layered reconstruction shares: statistics of cells, the screen filter, compositing.
 
-The sums of a tile are arrays (L, h, w, `N_SUMS`), float32: of each layer, over the tile and a ring of `reach` px around it.
+The sums of a tile are arrays (L, h, w, `N_SUMS`), float32: of each layer, over the tile and `reach` px around.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Filters for defocus, one per layer: sheared (SLR section 3) and axis-aligned (Mehta et al. 2012, as SLR section 7)."""
+"""Filters for defocus, one per layer: sheared (SLR section 3) and axis-aligned (Mehta et al. 2012, as in SLR 7)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AXIS_ALIGNED_SHARE = 0.5
 Aperture = Literal["disc", "gaussian"]
 APERTURES: tuple[Aperture, ...] = ("disc", "gaussian")
 SIGMA_LENS = {"disc": 0.5, "gaussian": 1.0 / 3.0}
-"""Standard deviation of the aperture along u, in radii: of a uniform disc; of SLR's Gaussian, cut at three deviations."""
+"""Standard deviation of the aperture along u, in radii: of a uniform disc; of SLR's Gaussian, cut at three of them."""
 
 Array = npt.NDArray[np.float64]
 

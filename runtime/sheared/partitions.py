@@ -14,6 +14,8 @@ BIN = 0.5
 """px of CoC: edges of partitions and ranges of layers are multiples of it."""
 PER_SIDE = 15
 """Partitions in front of focus, and as many behind."""
+LEAST_PER_SIDE, MOST_PER_SIDE = 2, 120
+"""A bin and the rest; and as many as a byte numbers on both sides, with some to spare."""
 BEHIND = -1
 """Index of the extra, last partition: samples that met nothing. They are a hole in all others."""
 
@@ -28,9 +30,9 @@ def edges_behind_focus(per_side: int = PER_SIDE) -> tuple[float, ...]:
     Notes
     -----
     SLR section 6.2: the energy of the sheared filter, ``sigma_x * sigma_u`` of Eq. 17, is by Eqs. 12 and 16 that of
-    ``1 / (1 / c_min - 1 / c_max)``, so it is constant where the edges are equal steps of ``1 / c``. Edges are multiples of
-    `BIN`, so near focus, where such steps are finer, partitions are single bins. The step is the one that makes the
-    number of partitions right.
+    ``1 / (1 / c_min - 1 / c_max)``, so it is constant where the edges are equal steps of ``1 / c``. Edges are
+    multiples of `BIN`, so near focus, where such steps are finer, partitions are single bins. The step is the one that
+    makes the number of partitions right.
     """
     low, high = 0.0, 1.0 / BIN
     for _ in range(_STEPS):

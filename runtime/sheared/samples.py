@@ -74,10 +74,16 @@ class Samples:
         place = _those(np.stack([cols, rows], axis=-1) + buffer.offset, there)
         coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, width)
         time = buffer.time - np.float32(camera.shutter_centre)
-        labels = [_those(each, there) for each in (buffer.radiance, buffer.lens_uv, time, buffer.motion, coc)]
-        count = buffer.valid.sum(axis=2)
-        first = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-        samples = cls(labels[0], place, *labels[1:], first, (height, width))
+        samples = cls(
+            colour=_those(buffer.radiance, there),
+            place=place,
+            lens=_those(buffer.lens_uv, there),
+            time=_those(time, there),
+            motion=_those(buffer.motion, there),
+            coc=_those(coc, there),
+            first=_first(buffer.valid.sum(axis=2)),
+            shape=(height, width),
+        )
         return samples if defocus and motion else samples._without(defocus=defocus, motion=motion)
 
     def _without(self, *, defocus: bool, motion: bool) -> Samples:
@@ -92,9 +98,21 @@ class Samples:
         row = np.clip(np.rint(place[:, 1]).astype(np.int64), 0, height - 1)
         pixel = row * width + col
         order = np.argsort(pixel, kind="stable")
-        first = np.concatenate([[0], np.cumsum(np.bincount(pixel, minlength=height * width))]).astype(np.int64)
-        arrays = [np.ascontiguousarray(each[order]) for each in (self.colour, place, self.lens, self.time, path, coc)]
-        return Samples(*arrays, first, self.shape)
+        return Samples(
+            colour=self.colour[order],
+            place=place[order],
+            lens=self.lens[order],
+            time=self.time[order],
+            motion=path[order],
+            coc=coc[order],
+            first=_first(np.bincount(pixel, minlength=height * width)),
+            shape=self.shape,
+        )
+
+
+def _first(count: npt.NDArray[np.integer]) -> IntArray:
+    """Return where the samples of each pixel begin, and where all end, for the number in each pixel."""
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
 
 
 def _those(values: npt.NDArray[np.floating], there: npt.NDArray[np.bool_]) -> FloatArray:

@@ -21,7 +21,7 @@ from runtime.sheared.filters import (
 )
 from runtime.sheared.layers import Layers, find_layers
 from runtime.sheared.method import Image
-from runtime.sheared.partitions import PER_SIDE, Partitioning
+from runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
 from runtime.sheared.samples import Samples
 from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
 from spreadlets.errors import InvalidParameterError
@@ -44,8 +44,8 @@ class Slr:
         Filters for the CoC that a tile has, or for all that its partitions may have.
     tile : int
         Side of a tile, px.
-    per_side : int
-        Partitions on either side of focus.
+    layers : int
+        Partitions over both sides of focus, an even number.
     sigma_pixel : float
         Standard deviation of the pixel filter, px.
     """
@@ -55,12 +55,19 @@ class Slr:
     bilinear: bool = False
     actual_range: bool = True
     tile: int = DEFAULT_TILE
-    per_side: int = PER_SIDE
+    layers: int = 2 * PER_SIDE
     sigma_pixel: float = SIGMA_PIXEL
 
     def __post_init__(self) -> None:
         if self.aperture not in APERTURES:
             raise InvalidParameterError(f"aperture {self.aperture!r} is unknown: allowed are {', '.join(APERTURES)}")
+        if self.layers % 2 or not 2 * LEAST_PER_SIDE <= self.layers <= 2 * MOST_PER_SIDE:
+            raise InvalidParameterError(
+                f"layers is {self.layers}: allowed are even numbers from {2 * LEAST_PER_SIDE} to {2 * MOST_PER_SIDE}"
+            )
+        if not self.sigma_pixel > 0.0:
+            raise InvalidParameterError(f"sigma_pixel is {self.sigma_pixel}: it must be > 0 px")
+        self.tiling((self.tile, self.tile))
 
     def tiling(self, shape: tuple[int, int]) -> Tiling:
         """Divide an image into tiles, with the border that screen filter and reprojection reach."""
@@ -75,7 +82,7 @@ class Slr:
 
     def prepare(self, samples: Samples, tiling: Tiling) -> _SlrTiles:
         """Find the layers of each tile and set their filters up."""
-        partitioning = Partitioning.of_constant_energy(self.per_side)
+        partitioning = Partitioning.of_constant_energy(self.layers // 2)
         partition = partitioning.of(samples)
         layers = find_layers(samples, partition, partitioning, tiling, actual_range=self.actual_range)
         return _SlrTiles(self, samples, partition, layers, self.filters(layers), tiling)

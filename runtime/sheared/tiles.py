@@ -12,6 +12,7 @@ from spreadlets.errors import InvalidParameterError
 CELL = 8
 """px: tiles and borders are whole cells, so that what is known of cells adds up to tiles."""
 DEFAULT_TILE = 32
+LARGEST_TILE = 1024
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Tiling:
     border : int
         px around a tile whose samples count for it, a multiple of `CELL`.
     tile : int
-        Side of a tile, px, a positive multiple of `CELL`.
+        Side of a tile, px, a positive multiple of `CELL` up to `LARGEST_TILE`.
 
     Raises
     ------
@@ -38,8 +39,10 @@ class Tiling:
     tile: int = DEFAULT_TILE
 
     def __post_init__(self) -> None:
-        if self.tile < CELL or self.tile % CELL:
-            raise InvalidParameterError(f"tile is {self.tile}: allowed are positive multiples of {CELL} px")
+        if not CELL <= self.tile <= LARGEST_TILE or self.tile % CELL:
+            raise InvalidParameterError(
+                f"tile is {self.tile}: allowed are multiples of {CELL} px from {CELL} to {LARGEST_TILE}"
+            )
         if self.border < 0 or self.border % CELL:
             raise InvalidParameterError(f"border is {self.border}: allowed are multiples of {CELL} px from 0 on")
 
