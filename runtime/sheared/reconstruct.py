@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from runtime.render import Clock
-from runtime.sheared.method import Image, Method, run
+from runtime.sheared.method import Image, Method
 from runtime.sheared.samples import Samples
 from runtime.sheared.slr import Slr
 from spreadlets.camera import ThinLens
@@ -88,7 +88,7 @@ def reconstruct(
         tiling = method.tiling(flat.shape)
         tile_filter = method.prepare(flat, tiling)
     with clock.step("composite"):
-        run(tile_filter, len(tiling.inner()), image)
+        tile_filter.fill(image)
     plan = {"tiles": len(tiling.inner()), **tile_filter.figures()}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return image, {"plan": plan, "time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}

@@ -22,7 +22,6 @@ from runtime.sheared.filters import (
     with_uniform_lens,
 )
 from runtime.sheared.layers import NONE, find_layers
-from runtime.sheared.method import run
 from runtime.sheared.partitions import BIN, PER_SIDE, Partitioning, edges_behind_focus
 from runtime.sheared.samples import Samples
 from runtime.sheared.slr import Slr
@@ -294,7 +293,7 @@ def test_tiles_are_what_every_pixel_gathers_from_every_sample(aperture):
     expected = reconstruct_naive(samples, partitioning.of(samples), filters, REACH)
     image = np.zeros((*given.shape, 4), np.float32)
     tiling = method.tiling(given.shape)
-    run(method.prepare(samples, tiling), len(tiling.inner()), image)
+    method.prepare(samples, tiling).fill(image)
     np.testing.assert_allclose(image, expected, atol=2e-5)
 
 
@@ -416,7 +415,7 @@ def test_the_image_is_the_same_for_any_number_of_threads():
     tiles = method.prepare(samples, tiling)
     backwards = np.zeros((*given.shape, 4), np.float32)
     for tile in reversed(range(len(tiling.inner()))):
-        tiles(tile, backwards)
+        tiles.fill_tile(tile, backwards)
     for image in images:
         np.testing.assert_array_equal(image, backwards)
 
