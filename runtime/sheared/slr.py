@@ -125,9 +125,9 @@ class _SlrTiles:
 
     def fill(self, image: Image) -> None:
         """Fill an image, tile by tile."""
-        run(self.fill_tile, len(self.boxes[0]), image)
+        run(self._fill_tile, len(self.boxes[0]), image)
 
-    def fill_tile(self, tile: int, image: Image) -> None:
+    def _fill_tile(self, tile: int, image: Image) -> None:
         """Fill the pixels of a tile."""
         given, here = self.samples, slice(*self.layers.first[tile : tile + 2])
         _slr_kernels.filter_tile(

@@ -415,7 +415,7 @@ def test_the_image_is_the_same_for_any_number_of_threads():
     tiles = method.prepare(samples, tiling)
     backwards = np.zeros((*given.shape, 4), np.float32)
     for tile in reversed(range(len(tiling.inner()))):
-        tiles.fill_tile(tile, backwards)
+        tiles._fill_tile(tile, backwards)
     for image in images:
         np.testing.assert_array_equal(image, backwards)
 
