@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 Image = npt.NDArray[np.float32]
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
-RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", "mean")
+LAYERED_METHODS = ("sheared", "axis-aligned")
+"""Those of `runtime.sheared`, a backend that nothing else needs."""
+DENOISERS = ("bm3d", "oidn")
+RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
+SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness")
+"""Options that mean nothing to the other methods."""
 
 
 class RenderOptions(TypedDict, total=False):
@@ -144,6 +149,7 @@ def reconstruct(
     *,
     method: str = ...,
     report: Literal[False] = ...,
+    settings: Mapping[str, object] | None = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -156,6 +162,7 @@ def reconstruct(
     *,
     method: str = ...,
     report: Literal[True],
+    settings: Mapping[str, object] | None = ...,
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
 
@@ -167,6 +174,7 @@ def reconstruct(
     *,
     method: str = "spreadlets",
     report: bool = False,
+    settings: Mapping[str, object] | None = None,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
     """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
@@ -177,9 +185,13 @@ def reconstruct(
         Labelled samples, any number in each pixel.
     camera, database, report, options
         As for `synthesize`. Without an effect (``defocus=False``) the image is what a camera without it would see.
-    method : {"spreadlets", "dense", "dense-rows", "mean"}
-        Sparse Laplacian splatting; the same PSFs drawn in full; or the mean of each pixel's samples, the plain Monte
-        Carlo image.
+    method : str
+        ``spreadlets``: sparse Laplacian splatting. ``dense``, ``dense-rows``: the same PSFs drawn in full. ``sheared``,
+        ``axis-aligned``: layered reconstruction (SLR 2015). ``mean``: the mean of each pixel's samples, the plain Monte
+        Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
+    settings : mapping, optional
+        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr`; there, ``layers`` is the
+        number of partitions over both sides of focus.
 
     Returns
     -------
@@ -191,20 +203,57 @@ def reconstruct(
     Raises
     ------
     InvalidParameterError
-        If the method or the integrator is unknown, or a parameter is out of its range.
+        If the method, the integrator or a setting is unknown or not one of the method's, a parameter is out of its
+        range, or an optional package is missing.
     InvalidDatabaseError
         If the database cannot be used.
     """
+    _check_method(method, RECONSTRUCTION_METHODS)
+    if settings and method not in LAYERED_METHODS:
+        raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
+    if method in (*LAYERED_METHODS, "mean", *DENOISERS):
+        image, figures = _without_splatting(samples, camera, method, settings or {}, options)
+        return (image, figures) if report else image
     from runtime import render
 
-    _check_method(method, RECONSTRUCTION_METHODS)
-    if method == "mean":
-        image, figures = render.average(samples, options.get("clock"))
-        return (image, figures) if report else image
     with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
         given, clock = _render_options(opened, method, options)
         image, figures = render.reconstruct(samples, camera, opened, given, clock)
     return (image, figures) if report else image
+
+
+def _without_splatting(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    method: str,
+    settings: Mapping[str, object],
+    options: RenderOptions,
+) -> tuple[Image, dict[str, Any]]:
+    """Reconstruct with a method that needs no database."""
+    given = [name for name in SPLATTING_OPTIONS if options.get(name) is not None]
+    if given:
+        raise InvalidParameterError(f"{given[0]} is no option of method {method!r}")
+    clock = options.get("clock")
+    if method in LAYERED_METHODS:
+        from runtime.sheared import reconstruct as layered
+
+        if options.get("layers") is not None:
+            settings = {"layers": options["layers"], **settings}
+        made = layered.make_method(method, settings)
+        defocus, motion = options.get("defocus", True), options.get("motion", True)
+        return layered.reconstruct(samples, camera, made, defocus=defocus, motion=motion, clock=clock)
+    for name in ("defocus", "motion", "layers"):
+        value = options.get(name)
+        if value is not None and value is not True:
+            raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
+    from runtime import render
+
+    image, figures = render.average(samples, clock)
+    if method in DENOISERS:
+        from runtime.denoise import denoise
+
+        image, figures = denoise(image, method, clock or render.Clock())
+    return image, figures
 
 
 def _check_method(method: str, allowed: Sequence[str]) -> None:

@@ -379,7 +379,15 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     "--method",
     default="spreadlets",
     show_default=True,
-    help="spreadlets, dense or dense-rows (PSFs drawn in full), or mean (of each pixel's samples).",
+    help="spreadlets; dense or dense-rows (PSFs drawn in full); sheared or axis-aligned (layered reconstruction); mean "
+    "(of each pixel's samples); bm3d or oidn (that mean, denoised by an optional package).",
+)
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A setting of sheared or axis-aligned, such as bilinear=true, tile=64 or aperture=gaussian; may be repeated.",
 )
 @click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
 @click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
@@ -407,6 +415,7 @@ def reconstruct(
     no_defocus: bool,
     no_motion: bool,
     as_json: bool,
+    assignments: tuple[str, ...],
     **settings: Any,
 ) -> None:
     """Clean a buffer of stochastic samples, which were rendered through lens and shutter.
@@ -426,7 +435,7 @@ def reconstruct(
         camera = read_camera(camera_path)
         buffer = read_samples(samples, camera=camera, repair=repair)
         truth = exr.read_image(reference) if reference else None
-    settings |= {"defocus": not no_defocus, "motion": not no_motion}
+    settings |= {"defocus": not no_defocus, "motion": not no_motion, "settings": _assigned(assignments)}
     image, report = make(buffer.take(spp) if spp else buffer, camera, database, **settings, report=True, clock=clock)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
@@ -435,6 +444,20 @@ def reconstruct(
         exr.write_image(output, image)
     report["time_s"] = clock.times()
     _print(report | figures, as_json)
+
+
+def _assigned(assignments: tuple[str, ...]) -> dict[str, object]:
+    """Return the values of NAME=VALUE by name: numbers, true and false, or else text."""
+    values: dict[str, object] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise click.UsageError(f"--set {assignment}: a setting is NAME=VALUE, such as bilinear=true")
+        try:
+            values[name] = json.loads(text)
+        except ValueError:
+            values[name] = text
+    return values
 
 
 @cli.command()

@@ -1,0 +1,47 @@
+"""What a layered reconstruction is made of, and the run over all tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from runtime.sheared.samples import Samples
+from runtime.sheared.tiles import Tiling
+
+Image = npt.NDArray[np.float32]
+
+
+class TileFilter(Protocol):
+    """Filters set up for certain samples and tiles."""
+
+    def fill(self, image: Image) -> None:
+        """Fill an image (H, W, 4) of zeros."""
+
+    def figures(self) -> dict[str, float]:
+        """Return figures of the set-up for the report, such as ``layers_per_tile``."""
+
+
+class Method(Protocol):
+    """A layered reconstruction with its parameters."""
+
+    def tiling(self, shape: tuple[int, int]) -> Tiling:
+        """Divide an image of a shape (H, W) into tiles, with the border that the method needs."""
+
+    def prepare(self, samples: Samples, tiling: Tiling) -> TileFilter:
+        """Find partitions and layers, and set the filters up."""
+
+
+def run(fill_tile: Callable[[int, Image], None], n_tiles: int, image: Image) -> None:
+    """Fill an image (H, W, 4) tile by tile, in as many threads as Numba may use.
+
+    Tiles write different pixels and share nothing else, so the image does not depend on the number of threads. The
+    kernels of a tile release the interpreter's lock.
+    """
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        for done in [pool.submit(fill_tile, tile, image) for tile in range(n_tiles)]:
+            done.result()

@@ -1,0 +1,94 @@
+"""The layered reconstructions by name, and a run of one of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from runtime.render import Clock
+from runtime.sheared.method import Image, Method
+from runtime.sheared.samples import Samples
+from runtime.sheared.slr import Slr
+from spreadlets.camera import ThinLens
+from spreadlets.errors import InvalidParameterError
+from spreadlets.sample_buffer import SampleBuffer
+
+METHODS: dict[str, Callable[..., Method]] = {
+    "sheared": partial(Slr, sheared=True),
+    "axis-aligned": partial(Slr, sheared=False),
+}
+"""Dataclasses of the methods' settings, some of them fixed."""
+
+
+def make_method(name: str, settings: Mapping[str, object]) -> Method:
+    """Return a method with its settings.
+
+    Parameters
+    ----------
+    name : str
+        One of `METHODS`.
+    settings : mapping
+        Values by the names of the fields of its dataclass, such as those of `runtime.sheared.slr.Slr`.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a setting is unknown or of the wrong type.
+    """
+    make = METHODS[name]
+    kind, fixed = (make.func, make.keywords) if isinstance(make, partial) else (make, {})
+    defaults = {each.name: each.default for each in dataclasses.fields(kind) if each.name not in fixed}  # type: ignore[arg-type]
+    for key, value in settings.items():
+        if key not in defaults:
+            raise InvalidParameterError(f"{key!r} is no setting of method {name!r}: allowed are {', '.join(defaults)}")
+        wanted = type(defaults[key])
+        if type(value) is not wanted and (wanted, type(value)) != (float, int):
+            raise InvalidParameterError(f"{key} is {value!r}: method {name!r} wants {wanted.__name__}")
+    return make(**settings)
+
+
+def reconstruct(
+    samples: SampleBuffer,
+    camera: ThinLens,
+    method: Method,
+    *,
+    defocus: bool = True,
+    motion: bool = True,
+    clock: Clock | None = None,
+) -> tuple[Image, dict[str, Any]]:
+    """Make a clean image of a buffer of stochastic samples.
+
+    Parameters
+    ----------
+    samples : SampleBuffer
+    camera : ThinLens
+    method : Method
+        See `make_method`.
+    defocus, motion : bool
+        Without an effect, samples are moved to where they would lie without it.
+    clock : Clock, optional
+        Where the steps' times are added.
+
+    Returns
+    -------
+    image : ndarray of shape (H, W, 4), float32
+        Linear, premultiplied.
+    report : dict
+        ``plan`` (figures of the set-up), ``time_s``, ``compile_s`` and ``peak_rss_mb``.
+    """
+    clock = clock or Clock()
+    image = np.zeros((*samples.shape, 4), np.float32)
+    with clock.step("plan"):
+        flat = Samples.from_buffer(samples, camera, defocus=defocus, motion=motion)
+        tiling = method.tiling(flat.shape)
+        tile_filter = method.prepare(flat, tiling)
+    with clock.step("composite"):
+        tile_filter.fill(image)
+    plan = {"tiles": len(tiling.inner()), **tile_filter.figures()}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return image, {"plan": plan, "time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}
