@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from precompute._tracing_kernels import cut_lines
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -104,24 +106,17 @@ def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: Floa
     Segments
         At most n (K - 1); those without light are left out.
     """
-    n_channels = density.shape[2]
+    n_lines, n_nodes, n_channels = density.shape
+    n_most = n_lines * (n_nodes - 1)
+    if clearance is not None:
+        nodes = np.stack([x, y], axis=-1)
+        found = Segments(np.empty((n_most, 4)), np.empty((n_most, n_channels)), np.empty((n_most, n_channels)))
+        count = cut_lines(nodes, density, clearance, *found)
+        return Segments(*(part[:count] for part in found))
     ends = np.stack([x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]], axis=-1).reshape(-1, 4)
     start, stop = density[:, :-1].reshape(-1, n_channels), density[:, 1:].reshape(-1, n_channels)
-    if clearance is None:
-        lit = (start.max(axis=1) > 0.0) | (stop.max(axis=1) > 0.0)
-        return Segments(ends[lit], start[lit], stop[lit])
-    here, there = clearance[:, :-1].ravel(), clearance[:, 1:].ravel()
-    lit = np.maximum(here, there) > 0.0
-    ends, start, stop, here, there = ends[lit], start[lit], stop[lit], here[lit], there[lit]
-    change = np.where(here == there, 1.0, here - there)
-    crossing = here / change
-    first = np.where(here < 0.0, crossing, 0.0)[:, None]
-    last = np.where(there < 0.0, crossing, 1.0)[:, None]
-    begin, step = ends[:, :2], ends[:, 2:] - ends[:, :2]
-    cut = np.concatenate([begin + first * step, begin + last * step], axis=1)
-    share = last - first
-    slope = stop - start
-    return Segments(cut, share * (start + first * slope), share * (start + last * slope))
+    lit = (start.max(axis=1) > 0.0) | (stop.max(axis=1) > 0.0)
+    return Segments(ends[lit], start[lit], stop[lit])
 
 
 def tent(u: FloatArray, low: float, high: float) -> FloatArray:

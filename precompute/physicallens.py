@@ -285,7 +285,9 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         clearance = np.where(np.hypot(bundle.x, bundle.y) < extent, bundle.clearance, -1.0)
         density = np.broadcast_to(rgb_response(wavelength)[:, None, :], (*clearance.shape, 3))
         angle = tent(points[:, 4], -direction_half_width, direction_half_width)[:, None]
-        return _mirrored(bundle, clearance, density, direction, angle)
+        turned = _turned(bundle.x, bundle.y, direction + angle)
+        half = polylines(turned[..., 0], turned[..., 1], density, clearance)
+        return Segments(*map(np.concatenate, zip(half, _mirror_image(half, direction), strict=True)))
 
     return Tracer(
         N_DIMENSIONS,
@@ -298,15 +300,11 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     )
 
 
-def _mirrored(
-    bundle: Bundle, clearance: FloatArray, density: FloatArray, direction: float, angle: FloatArray
-) -> Segments:
-    """Return the lines and their mirror images about the meridional plane, turned to a direction and about it."""
-    halves = []
-    for sign in (1.0, -1.0):
-        turned = _turned(bundle.x, sign * bundle.y, direction + sign * angle)
-        halves.append(polylines(turned[..., 0], turned[..., 1], density, clearance))
-    return Segments(*(np.concatenate(parts) for parts in zip(*halves, strict=True)))
+def _mirror_image(segments: Segments, direction: float) -> Segments:
+    """Return the mirror image of segments about the meridional plane, which appears in a direction."""
+    cos, sin = math.cos(2.0 * direction), math.sin(2.0 * direction)
+    ends = segments.ends.reshape(-1, 2) @ np.array([[cos, sin], [sin, -cos]])
+    return segments._replace(ends=ends.reshape(-1, 4))
 
 
 def _turned(x: FloatArray, y: FloatArray, angle: FloatArray | float) -> FloatArray:
