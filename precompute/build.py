@@ -30,7 +30,7 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.psf_model import PsfGrid, get_model
 from spreadlets.spreadlet import Spreadlet
 
-ALGORITHM_VERSION = 2
+ALGORITHM_VERSION = 3
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 MAX_SAMPLES = 100_000
 

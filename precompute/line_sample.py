@@ -27,6 +27,11 @@ class Segments(NamedTuple):
     """The same at (x1, y1); a segment's energy is the mean of the two."""
 
 
+def sharp(box: FloatArray) -> float:
+    """Return no blur, px, whatever the box."""
+    return 0.0
+
+
 @dataclass(frozen=True)
 class Tracer:
     """How the rays of one PSF model are made.
@@ -46,6 +51,8 @@ class Tracer:
     rays_per_pixel : int
         Default number of point-equivalent deposits for each pixel of the smallest box along the motion
         that holds the PSF.
+    blur : callable
+        ``(box) -> px``: standard deviation of a Gaussian that is part of the pre-filter.
     generators : tuple of floats, optional
         Steps of all coordinates but the first from point to point, modulo 1; by default those of the R_n sequence.
     """
@@ -56,6 +63,7 @@ class Tracer:
     symmetrise: Callable[[FloatArray], FloatArray]
     segments_per_point: int = 1
     rays_per_pixel: int = RAYS_PER_PIXEL
+    blur: Callable[[FloatArray], float] = sharp
     generators: tuple[float, ...] | None = None
 
 
