@@ -248,11 +248,11 @@ def _best_focus(lens: Prescription, inverse_distance: float) -> float:
     index = lens.indices(np.array([FOCUS_NM]))
     found = []
     for distance in (start, start + 1.0):
-        out, _ = _trace(lens, first_order.pupil_distance, distance, place, place * inverse_distance, index)
+        out, events = _trace(lens, first_order.pupil_distance, distance, place, place * inverse_distance, index)
         found.append(out[0])
     passed = found[0][:, 2] >= 0.0
     if not passed.any():
-        raise InvalidParameterError(f"the lens {lens.title!r} lets no ray through on its axis")
+        raise InvalidParameterError(_explain_darkness(lens, events, "on its axis"))
     here, slope = found[0][passed, 0], found[1][passed, 0] - found[0][passed, 0]
     return float(start - (here * slope).sum() / (slope * slope).sum())
 
@@ -392,7 +392,8 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     bundle = trace_bundle(focused, place, wavelength, _inverse_distance(focused, coc, side), height)
     lit = bundle.clearance >= 0.0
     if not lit.any():
-        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, box))
+        place = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"
+        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, place))
     some = lit.any(axis=0)
     step = ticks[1] - ticks[0]
     ranges = [(values.ravel()[some].min() - step, values.ravel()[some].max() + step) for values in (along, across)]
@@ -401,13 +402,13 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     return low, high, extent * 1.02 + EXTENT_MARGIN_PX
 
 
-def _explain_darkness(lens: Prescription, events: IntArray, box: FloatArray) -> str:
+def _explain_darkness(lens: Prescription, events: IntArray, place: str) -> str:
     """Say which surface stops the light, and how."""
     stopped = events.copy()
     stopped[:, PASSED] = 0
     surface, event = np.unravel_index(int(stopped.argmax()), stopped.shape)
     what = "the stop" if lens.surfaces[int(surface)].is_stop else f"surface {int(surface) + 1}"
     return (
-        f"the lens {lens.title!r} lets no light through at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm: "
-        f"{stopped[surface, event]} of {int(events.sum())} rays end at {what} ({EVENT_NAMES[int(event)]})"
+        f"the lens {lens.title!r} lets no light through {place}: {stopped[surface, event]} of {int(events.sum())} rays "
+        f"end at {what} ({EVENT_NAMES[int(event)]})"
     )

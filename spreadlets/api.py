@@ -15,6 +15,7 @@ from spreadlets.camera import ThinLens
 from spreadlets.database import Database, open_database
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
+from spreadlets.labels import illumination
 from spreadlets.sample_buffer import SampleBuffer
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def synthesize(
     database: Database | str | None = ...,
     *,
     method: str = ...,
+    vignetting: bool = ...,
     report: Literal[False] = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
@@ -58,6 +60,7 @@ def synthesize(
     database: Database | str | None = ...,
     *,
     method: str = ...,
+    vignetting: bool = ...,
     report: Literal[True],
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
@@ -69,6 +72,7 @@ def synthesize(
     database: Database | str | None = None,
     *,
     method: str = "spreadlets",
+    vignetting: bool = False,
     report: bool = False,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
@@ -86,6 +90,8 @@ def synthesize(
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
+    vignetting : bool
+        Whether to darken the image towards its corners as the lens of a database of ``physicallens`` does.
     report : bool
         Also return the figures of the run.
     integrator : str, optional
@@ -116,7 +122,8 @@ def synthesize(
     Raises
     ------
     InvalidParameterError
-        If the method or the integrator is unknown, or a parameter is out of its range.
+        If the method or the integrator is unknown, a parameter is out of its range, or the database knows no
+        vignetting.
     InvalidDatabaseError
         If the database cannot be used.
     """
@@ -128,6 +135,9 @@ def synthesize(
     with _opened(database, moving) as opened:
         given, clock = _render_options(opened, method, options)
         image, figures = render.synthesize(layered, camera, opened, given, clock)
+        if vignetting:
+            mm_per_px = camera.sensor_width_mm / image.shape[1]
+            image[..., :3] *= illumination(opened.grid.model, image.shape[:2], mm_per_px)[..., None]
     return (image, figures) if report else image
 
 
