@@ -116,15 +116,10 @@ def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: Floa
     """
     n_lines, n_nodes, n_channels = density.shape
     n_most = n_lines * (n_nodes - 1)
-    if clearance is not None:
-        nodes = np.stack([x, y], axis=-1)
-        found = Segments(np.empty((n_most, 4)), np.empty((n_most, n_channels)), np.empty((n_most, n_channels)))
-        count = cut_lines(nodes, density, clearance, *found)
-        return Segments(*(part[:count] for part in found))
-    ends = np.stack([x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]], axis=-1).reshape(-1, 4)
-    start, stop = density[:, :-1].reshape(-1, n_channels), density[:, 1:].reshape(-1, n_channels)
-    lit = (start.max(axis=1) > 0.0) | (stop.max(axis=1) > 0.0)
-    return Segments(ends[lit], start[lit], stop[lit])
+    found = Segments(np.empty((n_most, 4)), np.empty((n_most, n_channels)), np.empty((n_most, n_channels)))
+    lit = density.max(axis=2) if clearance is None else clearance
+    count = cut_lines(np.stack([x, y], axis=-1), density, lit, *found)
+    return Segments(*(part[:count] for part in found))
 
 
 def tent(u: FloatArray, low: float, high: float) -> FloatArray:
