@@ -1,26 +1,33 @@
 """Every PSF model: sparsity and similarity of its spreadlets, size and build time, and images against dense splatting.
 
-Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. Frames
-are read from ``--frames`` (default ../shared/frames) and skipped where they are missing. Writes models.txt and
-models_frames.txt to benchmarks/results. ``combined`` on frames is the subject of frames.py.
+Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. For the
+sparsity at the similarity of LKS, a mean of .97, PSFs of grids up to a CoC of 256 px, which fill the window of LKS, are
+sparsified at several prices of a point. Frames are read from ``--frames`` (default ../shared/frames) and skipped where
+they are missing. Writes models.txt, models_sparsity.txt and models_frames.txt to benchmarks/results. The model
+``combined`` is the subject of spreadlet_quality.py and frames.py, too.
 
-    python benchmarks/models.py [--frames DIR] [--sample N] [--scenes NAME ...] [--models NAME ...]
+    python benchmarks/models.py [--frames DIR] [--sample N] [--cells N] [--scenes NAME ...] [--models NAME ...]
 """
 
 import argparse
 import tempfile
+import time
 import warnings
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 import spreadlets as sp
+from precompute import sparsify
 from precompute.build import build_database, model_grid
+from precompute.light_tracing import trace_psf
 from runtime.render import Options, synthesize
 from runtime.variant import DensePsf
 from spreadlets.api import _dense_psf
 from spreadlets.database import Database, open_database
+from spreadlets.psf_model import PsfGrid
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -35,13 +42,38 @@ HEART = {"image": str(ROOT / "docs" / "models" / "heart.png"), "colour_offset": 
 SAMPLED = {
     "physicallens": {"max_coc": 32.0, **LENS},
     "physicallens, CoC to 128": {"max_coc": 128.0, **LENS},
-    "stylized, CoC to 256": {"max_coc": 256.0, **HEART},
 }
 """Databases of which a sample is built: their options."""
 
+LKS_SIMILARITY = 0.97
+LARGE_COC = 4.0
+"""CoC radius, px: smaller PSFs are but a few pixels."""
 
-def sample(name: str, n: int, folder: Path) -> Database:
-    """Build a few random poses of a full-size grid."""
+CPU_CORES = 2
+"""Cores that the build time of a cell is given for."""
+
+WIDE = {
+    "simplelens": {},
+    "combined": {"max_motion": 256.0},
+    "stylized": HEART,
+    "physicallens": {"lens": "singlet", "width": 1024, "camera": sp.ThinLens(50.0, 36.0, 5.0, 3.0)},
+}
+"""Grids up to a CoC of 256 px: their options. The lens is LKS's, a bi-convex singlet, wide open."""
+
+PRICES = (0.125, 0.25, 0.5, 1.0, 2.0)
+"""Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.PRICE`."""
+
+UNBOUND = {"WORST_LOSS": 0.2, "THIN_RADIUS": 0.0, "DIRECT_COST": 1.0, "DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1)}
+"""Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
+
+
+SPARSITY_NOTE = """Grids up to a CoC of 256 px, every cell weighing the same; lens: singlet, 50 mm, f/5, focused at 3 m.
+Sparsity, %, at a mean similarity of .97; then sparsity, %, and similarity at each price of a point.
+"""
+
+
+def sample(name: str, n: int, folder: Path) -> tuple[Database, float]:
+    """Build a few random poses of a full-size grid; return them and the processor's time for each, seconds."""
     model, options = name.split(",")[0], dict(SAMPLED[name])
     if model == "physicallens":
         options["camera"] = sp.read_camera(ROOT / "psf_db" / "physicallens.json")
@@ -49,11 +81,12 @@ def sample(name: str, n: int, folder: Path) -> Database:
     poses = [(cell, number) for cell in range(grid.n_cells) for number in range(int(grid.pose_counts[cell]))]
     chosen = np.random.default_rng(0).choice(len(poses), min(n, len(poses)), replace=False)
     path = folder / f"{name.replace(' ', '_')}.h5"
+    begin = time.process_time()
     build_database(model, path, only=[poses[i] for i in chosen], jobs=1, **options)
-    return open_database(path)
+    return open_database(path), (time.process_time() - begin) / len(chosen)
 
 
-def database_row(name: str, database: Database) -> list[object]:
+def database_row(name: str, database: Database, seconds: float | None = None) -> list[object]:
     """Return a row of the first table."""
     figures = database.summary()
     model = database.grid.model.name
@@ -62,7 +95,8 @@ def database_row(name: str, database: Database) -> list[object]:
     # The index tables do not shrink with a sample.
     points = sum(database._file[key].id.get_storage_size() for key in ("offset_rc", "value"))
     megabytes = (figures["size_bytes"] - points + points / share) / 1e6
-    seconds = (figures["build_s"] or 0.0) / figures["n_spreadlets"]
+    if seconds is None:
+        seconds = figures["build_s"] / figures["n_spreadlets"]
     return [
         name,
         figures["n_cells"],
@@ -77,6 +111,7 @@ def database_row(name: str, database: Database) -> list[object]:
         megabytes,
         LKS_MEGABYTES[model],
         seconds,
+        seconds * n_poses / figures["n_cells"] / CPU_CORES,
     ]
 
 
@@ -112,6 +147,51 @@ def table(columns: tuple[str, ...], rows: list[list[object]]) -> str:
     return "\n".join("  ".join(x.rjust(w) for x, w in zip(row, widths, strict=True)) for row in cells)
 
 
+def priced(grid: PsfGrid, cell: int, number: int) -> list[tuple[float, float, float]]:
+    """Return sparsity, similarity and support of one pose at each price."""
+    psf = trace_psf(
+        grid.model,
+        grid.box(cell),
+        direction=float(grid.directions(cell)[number]),
+        direction_half_width=grid.direction_half_width(cell),
+        side=grid.side(cell, number),
+    )
+    found = []
+    for price in PRICES:
+        with patch.multiple(sparsify, PRICE=price, **UNBOUND):
+            figures = sparsify.sparsify(psf)[1]
+        found.append((figures["sparsity"], figures["ssim"], figures["n_support"]))
+    return found
+
+
+def sparsity_rows(name: str, n_cells: int) -> list[list[object]]:
+    """Return the rows of one model in the table of sparsity at equal similarity: all cells, and those of large CoC."""
+    grid = model_grid(name, max_coc=256.0, **WIDE[name])
+    rng = np.random.default_rng(0)
+    cells = np.sort(rng.choice(grid.n_cells, min(n_cells, grid.n_cells), replace=False))
+    figures = np.array([priced(grid, int(cell), int(rng.integers(grid.pose_counts[cell]))) for cell in cells])
+    large = np.array([grid.coordinate(int(cell))[0] >= LARGE_COC for cell in cells])
+    asked = 2.0 / 3.0 * LKS_SPARSITY[name]
+    rows: list[list[object]] = []
+    for kind, chosen in (("all", np.ones(len(cells), np.bool_)), (f"CoC >= {LARGE_COC:g} px", large)):
+        sparsity, similarity, support = figures[chosen].mean(axis=0).T
+        curve = [f"{100 * x:.1f}/{y:.3f}" for x, y in zip(sparsity, similarity, strict=True)]
+        at = 100 * float(np.interp(LKS_SIMILARITY, similarity[::-1], sparsity[::-1]))
+        reached = f"{at:.1f}" if similarity.max() >= LKS_SIMILARITY else "-"
+        rows.append([name, kind, int(chosen.sum()), int(support[0]), reached, LKS_SPARSITY[name], asked, *curve])
+    return rows
+
+
+def sparsity_table(n_cells: int) -> str:
+    """Return the table of sparsity at equal similarity."""
+    rows = []
+    for name in WIDE:
+        rows += sparsity_rows(name, n_cells)
+        print(*rows[-2:], sep="\n", flush=True)
+    columns = ("model", "cells", "measured", "support px", f"% at {LKS_SIMILARITY}", "LKS", "asked")
+    return table((*columns, *(f"price {price:g}" for price in PRICES)), rows)
+
+
 def spreadlet_table(n_sampled: int) -> str:
     """Return the first table: every model's spreadlets."""
     rows = []
@@ -121,10 +201,12 @@ def spreadlet_table(n_sampled: int) -> str:
                 rows.append(database_row(name, database))
     with tempfile.TemporaryDirectory() as folder:
         for name in SAMPLED:
-            with sample(name, n_sampled, Path(folder)) as database:
-                rows.append(database_row(name, database))
+            database, seconds = sample(name, n_sampled, Path(folder))
+            with database:
+                rows.append(database_row(name, database, seconds))
+            print(rows[-1], flush=True)
     columns = ("database", "cells", "poses", "built", "sparsity %", "median", "LKS", "ssim", "worst", "l1")
-    return table((*columns, "MB", "LKS MB", "s each"), rows)
+    return table((*columns, "MB", "LKS MB", "s each", "s per cell, 2 cores"), rows)
 
 
 def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
@@ -142,6 +224,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=Path, default=ROOT.parent / "shared" / "frames")
     parser.add_argument("--sample", type=int, default=24, help="poses of each sampled database; 0: no such table")
+    parser.add_argument("--cells", type=int, default=40, help="cells of each wide grid; 0: no such table")
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--models", nargs="*", default=[name for name in MODELS if name != "combined"])
     arguments = parser.parse_args()
@@ -150,6 +233,10 @@ def main() -> None:
         text = spreadlet_table(arguments.sample)
         print(text)
         (RESULTS / "models.txt").write_text(text + "\n")
+    if arguments.cells:
+        text = sparsity_table(arguments.cells)
+        print(text)
+        (RESULTS / "models_sparsity.txt").write_text(SPARSITY_NOTE + text + "\n")
     if not (arguments.frames / "coins_pinhole.exr").exists():
         print(f"no frames in {arguments.frames}: the second table is left out")
     elif arguments.models:

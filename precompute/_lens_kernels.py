@@ -20,26 +20,33 @@ FAILED_CLEARANCE = -1.0
 def _refract(ray, curvature, conic, ratio):
     """Move a ray, relative to a surface's vertex, to that surface, and refract it there; return what happened.
 
-    The surface is ``c (x^2 + y^2 + (1 + k) z^2) = 2 z``; of the two intersections the one near the vertex counts.
+    The surface is ``c (x^2 + y^2 + (1 + k) z^2) = 2 z``; of the two intersections the one near the vertex counts. Its
+    gradient along the ray is the root of the intersection's equation, and of unit length on a sphere.
     """
-    x, y, z, dx, dy, dz = ray[0], ray[1], ray[2], ray[3], ray[4], ray[5]
+    dx, dy, dz = ray[3], ray[4], ray[5]
+    # From the vertex's plane the near intersection is well told from the far one, even within a ball.
+    ahead = -ray[2] / dz
+    x, y = ray[0] + ahead * dx, ray[1] + ahead * dy
     a = curvature * (1.0 + conic * dz * dz)
-    b = curvature * (x * dx + y * dy + (1.0 + conic) * z * dz) - dz
-    c = curvature * (x * x + y * y + (1.0 + conic) * z * z) - 2.0 * z
+    b = curvature * (x * dx + y * dy) - dz
+    c = curvature * (x * x + y * y)
     root = b * b - a * c
     if not root >= 0.0:
         return MISSED
-    step = c / (math.sqrt(root) - b)
-    x, y, z = x + step * dx, y + step * dy, z + step * dz
+    inward = math.sqrt(root)
+    step = c / (inward - b)
+    x, y, z = x + step * dx, y + step * dy, step * dz
+    ray[0], ray[1], ray[2] = x, y, z
+    if ratio == 1.0:
+        return PASSED
     nx, ny, nz = -curvature * x, -curvature * y, 1.0 - (1.0 + conic) * curvature * z
-    norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / norm, ny / norm, nz / norm
-    inward = nx * dx + ny * dy + nz * dz
+    if conic != 0.0:
+        norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz, inward = nx * norm, ny * norm, nz * norm, inward * norm
     through = 1.0 - ratio * ratio * (1.0 - inward * inward)
     if not through >= 0.0:
         return REFLECTED
     along = math.sqrt(through) - ratio * inward
-    ray[0], ray[1], ray[2] = x, y, z
     ray[3], ray[4], ray[5] = ratio * dx + along * nx, ratio * dy + along * ny, ratio * dz + along * nz
     return PASSED
 

@@ -39,6 +39,50 @@ def kronecker(first: int, total: int, most: int, shift: FloatArray, alpha: Float
 
 
 @numba.njit(cache=True, fastmath=False)
+def cut_lines(
+    nodes: FloatArray, density: FloatArray, clearance: FloatArray, ends: FloatArray, start: FloatArray, stop: FloatArray
+) -> int:
+    """Join the nodes of lines by segments, cut where the clearance, linear between the nodes, falls below zero.
+
+    Parameters
+    ----------
+    nodes : float64 array of shape (n, K, 2)
+        Places x, y on the image.
+    density : float64 array of shape (n, K, C)
+        Energy density per step from node to node.
+    clearance : float64 array of shape (n, K)
+        At least 0 where light passes.
+    ends : float64 array of shape (n * (K - 1), 4)
+        Its first rows are filled with x0, y0, x1, y1 of the segments that light passes along.
+    start, stop : float64 arrays of shape (n * (K - 1), C)
+        Filled with the energy density at the ends, per unit of the cut segment's own parameter.
+
+    Returns
+    -------
+    int
+        Number of rows that are filled.
+    """
+    count = 0
+    for line in range(nodes.shape[0]):
+        for k in range(nodes.shape[1] - 1):
+            here, there = clearance[line, k], clearance[line, k + 1]
+            if not (here > 0.0 or there > 0.0):
+                continue
+            first = here / (here - there) if here < 0.0 else 0.0
+            last = here / (here - there) if there < 0.0 else 1.0
+            for axis in range(2):
+                begin, step = nodes[line, k, axis], nodes[line, k + 1, axis] - nodes[line, k, axis]
+                ends[count, axis], ends[count, 2 + axis] = begin + first * step, begin + last * step
+            for channel in range(density.shape[2]):
+                low = density[line, k, channel]
+                slope = density[line, k + 1, channel] - low
+                start[count, channel] = (last - first) * (low + first * slope)
+                stop[count, channel] = (last - first) * (low + last * slope)
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, fastmath=False)
 def deposit_segment(i: int, ends: FloatArray, start: FloatArray, stop: FloatArray, image: FloatArray) -> None:
     """Add segment i to ``image``: each pixel gets the energy of the part of the segment that lies in it.
 

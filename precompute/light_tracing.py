@@ -19,6 +19,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import gaussian_filter
 
 from precompute import combined, physicallens, simplelens, stylized, volume
 from precompute._tracing_kernels import deposit_segments, kronecker
@@ -42,6 +43,9 @@ FOOTPRINT_POINTS = 64
 
 PILOT_POINTS = 1024
 """Points whose segments are measured to learn how many points the deposits pay for."""
+
+BLUR_REACH = 4.0
+"""Standard deviations at which the pre-filter's blur ends."""
 
 N_BLOCKS = 8
 """Images that are filled independently and then summed in order: the same sum for any number of threads."""
@@ -151,7 +155,8 @@ def _draw_segments(
         raise InvalidParameterError(
             f"a PSF of this cell reaches {reach:g} px; at most {MAX_REACH_PX} px are traced: narrow the model's ranges"
         )
-    half = math.ceil(reach + 0.5)
+    blur = tracer.blur(box)
+    half = math.ceil(reach + 0.5) + math.ceil(BLUR_REACH * blur)
     own = tracer.generators
     generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
 
@@ -167,7 +172,8 @@ def _draw_segments(
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
     for first in range(0, n_points, chunk):
         deposit_segments(*make_segments(first, n_points, chunk), images)
-    return tracer.symmetrise(images.sum(axis=0))
+    psf = gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
+    return tracer.symmetrise(np.asarray(psf))
 
 
 def _checked_box(model: PsfModel, box: npt.ArrayLike) -> FloatArray:

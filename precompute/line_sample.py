@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from precompute._tracing_kernels import cut_lines
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -23,6 +25,11 @@ class Segments(NamedTuple):
     """Energy density per unit of the segment's parameter in [0, 1] at (x0, y0), shape (n, C)."""
     stop: FloatArray
     """The same at (x1, y1); a segment's energy is the mean of the two."""
+
+
+def sharp(box: FloatArray) -> float:
+    """Return no blur, px, whatever the box."""
+    return 0.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Tracer:
     rays_per_pixel : int
         Default number of point-equivalent deposits for each pixel of the smallest box along the motion
         that holds the PSF.
+    blur : callable
+        ``(box) -> px``: standard deviation of a Gaussian that is part of the pre-filter.
     generators : tuple of floats, optional
         Steps of all coordinates but the first from point to point, modulo 1; by default those of the R_n sequence.
     """
@@ -54,6 +63,7 @@ class Tracer:
     symmetrise: Callable[[FloatArray], FloatArray]
     segments_per_point: int = 1
     rays_per_pixel: int = RAYS_PER_PIXEL
+    blur: Callable[[FloatArray], float] = sharp
     generators: tuple[float, ...] | None = None
 
 
@@ -104,24 +114,12 @@ def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: Floa
     Segments
         At most n (K - 1); those without light are left out.
     """
-    n_channels = density.shape[2]
-    ends = np.stack([x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]], axis=-1).reshape(-1, 4)
-    start, stop = density[:, :-1].reshape(-1, n_channels), density[:, 1:].reshape(-1, n_channels)
-    if clearance is None:
-        lit = (start.max(axis=1) > 0.0) | (stop.max(axis=1) > 0.0)
-        return Segments(ends[lit], start[lit], stop[lit])
-    here, there = clearance[:, :-1].ravel(), clearance[:, 1:].ravel()
-    lit = np.maximum(here, there) > 0.0
-    ends, start, stop, here, there = ends[lit], start[lit], stop[lit], here[lit], there[lit]
-    change = np.where(here == there, 1.0, here - there)
-    crossing = here / change
-    first = np.where(here < 0.0, crossing, 0.0)[:, None]
-    last = np.where(there < 0.0, crossing, 1.0)[:, None]
-    begin, step = ends[:, :2], ends[:, 2:] - ends[:, :2]
-    cut = np.concatenate([begin + first * step, begin + last * step], axis=1)
-    share = last - first
-    slope = stop - start
-    return Segments(cut, share * (start + first * slope), share * (start + last * slope))
+    n_lines, n_nodes, n_channels = density.shape
+    n_most = n_lines * (n_nodes - 1)
+    found = Segments(np.empty((n_most, 4)), np.empty((n_most, n_channels)), np.empty((n_most, n_channels)))
+    lit = density.max(axis=2) if clearance is None else clearance
+    count = cut_lines(np.stack([x, y], axis=-1), density, lit, *found)
+    return Segments(*(part[:count] for part in found))
 
 
 def tent(u: FloatArray, low: float, high: float) -> FloatArray:

@@ -43,6 +43,10 @@ RAYS_PER_PIXEL = 2048
 LINE_ANGLE = 0.3
 """Direction of all lines, radians: far from the lattice's axes and diagonals, to which parallel lines would beat."""
 
+BLUR = 0.3
+"""Standard deviation of the pre-filter's blur, in units of the half-width of the cell's CoC. The tent over the cell
+itself blurs a rim by 0.41 of it, but smooth light within the rim hardly, where noise remains: parallel lines beat."""
+
 N_NODES = 33
 """Rays along a line: aberrations are smooth, so that straight segments between them err by less than 1/1000."""
 
@@ -50,6 +54,12 @@ PILOT_SIDE = 33
 PILOT_RADIUS = 2.0
 """Rays along each side of the square in which the lit part of the pupil is looked for; its half-side in paraxial radii.
 Off the axis, real pupils are shifted and larger than the paraxial one."""
+
+N_HEIGHTS = 33
+"""Image heights at which the illumination of the sensor is known: it falls smoothly, even where rims begin to cut."""
+
+N_AREA_LINES = 129
+"""Lines across the pupil, and rays along each, by which its lit area is measured: to 1/1000, as rims cut lines."""
 
 FOCUS_NM = 550.0
 """Wavelength at which the sensor is focused."""
@@ -156,7 +166,11 @@ def read_settings(
         "view": {name: float(value) for name, value in view.items()} | {"focus_per_m": focus_per_m, "width_px": width},
     }
     corner = 0.5 * math.sqrt(2.0) * view["sensor_width_mm"]
-    return settings | {"max_eccentricity_mm": corner, "aberration_px": _aberration(settings, corner)}
+    return settings | {
+        "max_eccentricity_mm": corner,
+        "aberration_px": _aberration(settings, corner),
+        "illumination": _illumination(settings, corner),
+    }
 
 
 def _as_json(surface: prescription.Surface) -> list[Any]:
@@ -168,6 +182,29 @@ def _aberration(settings: Mapping[str, Any], corner_mm: float) -> float:
     """Return how far light lands from its place in the corner where the lens is in focus, px."""
     box = np.array([[0.0, 0.0], [corner_mm, corner_mm]])
     return _pilot(focused_lens(settings), box, 1)[2]
+
+
+def _illumination(settings: Mapping[str, Any], corner_mm: float) -> list[float]:
+    """Return the illumination of the sensor relative to its middle, at evenly spaced heights up to the corner's.
+
+    The lit part of the entrance pupil shrinks where rims cut it; the rest is the law of the fourth power of the cosine
+    of the field angle. Points are in focus: their distance hardly matters.
+    """
+    focused = focused_lens(settings)
+    height = np.linspace(0.0, corner_mm, N_HEIGHTS)
+    cosine = np.cos(np.arctan(height / focused.chief_scale))
+    area = np.array([_lit_area(focused, float(each)) for each in height])
+    return [float(share) for share in area / area[0] * cosine**4]
+
+
+def _lit_area(focused: FocusedLens, height_mm: float) -> float:
+    """Return the lit area of the entrance pupil seen from a point in focus at an image height, relative to a square."""
+    ticks = np.linspace(-PILOT_RADIUS, PILOT_RADIUS, N_AREA_LINES) * focused.pupil_radius
+    place = np.stack(np.meshgrid(ticks, ticks), axis=-1)
+    same = np.ones(N_AREA_LINES)
+    bundle = trace_bundle(focused, place, same * FOCUS_NM, same * focused.focus_per_m, same * height_mm)
+    lines = polylines(place[..., 0], place[..., 1], np.ones((*place.shape[:2], 1)), bundle.clearance)
+    return float(np.hypot(*(lines.ends[:, 2:] - lines.ends[:, :2]).T).sum())
 
 
 def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
@@ -211,11 +248,11 @@ def _best_focus(lens: Prescription, inverse_distance: float) -> float:
     index = lens.indices(np.array([FOCUS_NM]))
     found = []
     for distance in (start, start + 1.0):
-        out, _ = _trace(lens, first_order.pupil_distance, distance, place, place * inverse_distance, index)
+        out, events = _trace(lens, first_order.pupil_distance, distance, place, place * inverse_distance, index)
         found.append(out[0])
     passed = found[0][:, 2] >= 0.0
     if not passed.any():
-        raise InvalidParameterError(f"the lens {lens.title!r} lets no ray through on its axis")
+        raise InvalidParameterError(_explain_darkness(lens, events, "on its axis"))
     here, slope = found[0][passed, 0], found[1][passed, 0] - found[0][passed, 0]
     return float(start - (here * slope).sum() / (slope * slope).sum())
 
@@ -285,7 +322,9 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         clearance = np.where(np.hypot(bundle.x, bundle.y) < extent, bundle.clearance, -1.0)
         density = np.broadcast_to(rgb_response(wavelength)[:, None, :], (*clearance.shape, 3))
         angle = tent(points[:, 4], -direction_half_width, direction_half_width)[:, None]
-        return _mirrored(bundle, clearance, density, direction, angle)
+        turned = _turned(bundle.x, bundle.y, direction + angle)
+        half = polylines(turned[..., 0], turned[..., 1], density, clearance)
+        return Segments(*map(np.concatenate, zip(half, _mirror_image(half, direction), strict=True)))
 
     return Tracer(
         N_DIMENSIONS,
@@ -294,19 +333,16 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         _without_negative_light,
         segments_per_point=2 * N_NODES,
         rays_per_pixel=RAYS_PER_PIXEL,
+        blur=lambda box: 0.5 * BLUR * float(box[0, 1] - box[0, 0]),
         generators=GENERATORS,
     )
 
 
-def _mirrored(
-    bundle: Bundle, clearance: FloatArray, density: FloatArray, direction: float, angle: FloatArray
-) -> Segments:
-    """Return the lines and their mirror images about the meridional plane, turned to a direction and about it."""
-    halves = []
-    for sign in (1.0, -1.0):
-        turned = _turned(bundle.x, sign * bundle.y, direction + sign * angle)
-        halves.append(polylines(turned[..., 0], turned[..., 1], density, clearance))
-    return Segments(*(np.concatenate(parts) for parts in zip(*halves, strict=True)))
+def _mirror_image(segments: Segments, direction: float) -> Segments:
+    """Return the mirror image of segments about the meridional plane, which appears in a direction."""
+    cos, sin = math.cos(2.0 * direction), math.sin(2.0 * direction)
+    ends = segments.ends.reshape(-1, 2) @ np.array([[cos, sin], [sin, -cos]])
+    return segments._replace(ends=ends.reshape(-1, 4))
 
 
 def _turned(x: FloatArray, y: FloatArray, angle: FloatArray | float) -> FloatArray:
@@ -356,7 +392,8 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     bundle = trace_bundle(focused, place, wavelength, _inverse_distance(focused, coc, side), height)
     lit = bundle.clearance >= 0.0
     if not lit.any():
-        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, box))
+        place = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"
+        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, place))
     some = lit.any(axis=0)
     step = ticks[1] - ticks[0]
     ranges = [(values.ravel()[some].min() - step, values.ravel()[some].max() + step) for values in (along, across)]
@@ -365,13 +402,13 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     return low, high, extent * 1.02 + EXTENT_MARGIN_PX
 
 
-def _explain_darkness(lens: Prescription, events: IntArray, box: FloatArray) -> str:
+def _explain_darkness(lens: Prescription, events: IntArray, place: str) -> str:
     """Say which surface stops the light, and how."""
     stopped = events.copy()
     stopped[:, PASSED] = 0
     surface, event = np.unravel_index(int(stopped.argmax()), stopped.shape)
     what = "the stop" if lens.surfaces[int(surface)].is_stop else f"surface {int(surface) + 1}"
     return (
-        f"the lens {lens.title!r} lets no light through at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm: "
-        f"{stopped[surface, event]} of {int(events.sum())} rays end at {what} ({EVENT_NAMES[int(event)]})"
+        f"the lens {lens.title!r} lets no light through {place}: {stopped[surface, event]} of {int(events.sum())} rays "
+        f"end at {what} ({EVENT_NAMES[int(event)]})"
     )

@@ -22,7 +22,7 @@ from precompute.sparsify import sparsify
 from spreadlets.database_file import CellRecord
 from spreadlets.psf_model import PsfGrid, PsfModel
 
-ALGORITHM_VERSION = 2
+ALGORITHM_VERSION = 3
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 UNITS_PER_WORKER = 32

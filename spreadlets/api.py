@@ -16,6 +16,7 @@ from spreadlets.database import Database, open_database
 from spreadlets.database_file import refusing
 from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
+from spreadlets.labels import illumination
 from spreadlets.sample_buffer import SampleBuffer
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def synthesize(
     database: Database | str | None = ...,
     *,
     method: str = ...,
+    vignetting: bool = ...,
     report: Literal[False] = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
@@ -65,6 +67,7 @@ def synthesize(
     database: Database | str | None = ...,
     *,
     method: str = ...,
+    vignetting: bool = ...,
     report: Literal[True],
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
@@ -76,6 +79,7 @@ def synthesize(
     database: Database | str | None = None,
     *,
     method: str = "spreadlets",
+    vignetting: bool = False,
     report: bool = False,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
@@ -93,6 +97,8 @@ def synthesize(
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
+    vignetting : bool
+        Whether to darken the image towards its corners as the lens of a database of ``physicallens`` does.
     report : bool
         Also return the figures of the run.
     integrator : str, optional
@@ -126,7 +132,8 @@ def synthesize(
     Raises
     ------
     InvalidParameterError
-        If the method or the integrator is unknown, or a parameter is out of its range.
+        If the method or the integrator is unknown, a parameter is out of its range, or the database knows no
+        vignetting.
     InvalidDatabaseError
         If the database cannot be used.
     """
@@ -138,6 +145,9 @@ def synthesize(
     with _opened(database, moving) as opened:
         given, clock = _render_options(opened, method, options)
         image, figures = render.synthesize(layered, camera, opened, given, clock)
+        if vignetting:
+            mm_per_px = camera.sensor_width_mm / image.shape[1]
+            image[..., :3] *= illumination(opened.grid.model, image.shape[:2], mm_per_px)[..., None]
     return (image, figures) if report else image
 
 

@@ -225,7 +225,7 @@ def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
 @click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
 @click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
 @click.option("--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself.")
-@click.option("--layers", type=click.IntRange(min=1), help="Depth layers (default: the frame's own, else 6).")
+@click.option("--layers", type=click.IntRange(min=1), help="Depth layers (default: the frame's own, else 4).")
 @click.option("--softness", type=float, help="Transition between depth layers: 0 (hard) to 1 (soft, the default).")
 @click.option(
     "--firefly-clamp",
@@ -233,6 +233,7 @@ def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
     metavar="FACTOR",
     help="Dim pixels or samples brighter than this times any other that comes from within a pixel. Default: off.",
 )
+@click.option("--vignetting", is_flag=True, help="Darken the corners as the lens of a physicallens database does.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Leave motion blur out.")
 @input_options
@@ -288,7 +289,7 @@ def synth(
 
 def _synthesis_settings(options: dict[str, Any]) -> dict[str, Any]:
     """Take the options of `synthesize` out of a command's options."""
-    names = ("method", "integrator", "cycles", "tolerance", "layers", "softness", "firefly_clamp")
+    names = ("method", "integrator", "cycles", "tolerance", "layers", "softness", "firefly_clamp", "vignetting")
     settings = {name: options.pop(name) for name in names}
     return settings | {"defocus": not options.pop("no_defocus"), "motion": not options.pop("no_motion")}
 

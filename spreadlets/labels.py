@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.camera import ThinLens
+from spreadlets.errors import InvalidParameterError
 from spreadlets.psf_model import Angle, PsfModel
 
 FloatArray = npt.NDArray[np.float32]
@@ -114,6 +115,36 @@ EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
 def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:
     """Return the coordinates (H, W) of each pixel on the axes of a model's parameter space; signs have no meaning."""
     return tuple(COORDINATES[axis.name](labels) for axis in model.axes)
+
+
+def illumination(model: PsfModel, shape: tuple[int, int], mm_per_px: float) -> FloatArray:
+    """Return how bright a lens leaves each pixel, relative to the image's middle.
+
+    Parameters
+    ----------
+    model : PsfModel
+    shape : tuple of int
+        Of the image (H, W).
+    mm_per_px : float
+        Size of a pixel on the sensor.
+
+    Returns
+    -------
+    ndarray of shape (H, W), float32
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model is not that of a real lens.
+    """
+    shares = model.settings.get("illumination")
+    if shares is None:
+        raise InvalidParameterError(
+            f"the database of the model {model.name!r} knows no vignetting; build one of 'physicallens'"
+        )
+    view = View(np.zeros(shape, np.float32), 1.0, mm_per_px)
+    known = np.linspace(0.0, model.settings["max_eccentricity_mm"], len(shares))
+    return np.interp(view.image_height() * mm_per_px, known, shares).astype(np.float32)
 
 
 def ignored_effects(labels: Labels, model: PsfModel) -> list[tuple[str, float]]:

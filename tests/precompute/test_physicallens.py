@@ -40,6 +40,20 @@ stop 0 air 5 -
 -50 40 air 8 0
 """
 
+REFLECTING = """title dome
+radius thickness glass semi_diameter conic
+40 40 2.4/40 40 0
+stop 5 2.4/40 0.5 -
+inf 40 air 40 0
+"""
+
+MISSING = """title bead
+radius thickness glass semi_diameter conic
+stop 20 air 0.5 -
+12 20 1.5/60 12 0
+-12 10 air 12 0
+"""
+
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="thousands of rays need the compiled kernels")
 
 
@@ -117,6 +131,16 @@ def test_thin_symmetric_lens_obeys_the_lensmaker():
     assert before > 2 / power
 
 
+def test_a_full_ball_focuses_where_it_should():
+    """Its surfaces are one sphere: f = n R / (2 (n - 1)) from its middle; rays start where the second one begins."""
+    text = SINGLET.replace("50 4", "25 50").replace("-50 40", "-25 40").replace("stop 0 air 5", "stop 0 air 0.01")
+    lens = parse_prescription(text, "ball")
+    focus = 1.5 * 25.0 / (2 * 0.5) - 25.0
+    x, y = traced(lens, 0.0, 0.01, focus, 0.0, LINE_D_NM)
+    assert paraxial(lens).back_focus == pytest.approx(focus)
+    assert np.hypot(x, y).max() < 1e-6
+
+
 def test_paraboloid_has_no_spherical_aberration_but_the_sphere_has():
     """A plano-convex lens with a conic of -n^2 behind collimates rays of all heights into one point (Descartes)."""
     text = SINGLET.replace("\n50 4", "\ninf 4").replace("-50 40 air 8 0", "-50 40 air 8 {}")
@@ -153,6 +177,19 @@ def test_lens_is_scaled_stopped_down_and_focused():
     assert focused.sensor_distance == pytest.approx(image_distance(focused.lens, 2000.0), abs=0.1)
     assert focused.chief_scale == pytest.approx(chief_scale(focused.lens, focused.sensor_distance), rel=1e-3)
     assert focused.coc_scale == pytest.approx(camera().coc_scale(720))
+
+
+def test_corners_darken_by_the_cosine_and_by_vignetting():
+    """A stop before a large lens is seen in full from everywhere; the rims of a double Gauss cut it."""
+    shares = {}
+    for lens in ("singlet", "double_gauss"):
+        settings = model_settings("physicallens", {"lens": lens, "camera": camera(f_number=5.0)})
+        focused = focused_lens(settings)
+        tangent = np.linspace(0.0, settings["max_eccentricity_mm"], physicallens.N_HEIGHTS) / focused.chief_scale
+        shares[lens] = np.array(settings["illumination"]) * (1.0 + tangent**2) ** 2
+    np.testing.assert_allclose(shares["singlet"], 1.0, rtol=2e-3)
+    assert shares["double_gauss"][0] == 1.0 and (np.diff(shares["double_gauss"]) < 2e-3).all()
+    assert shares["double_gauss"][-1] < 0.9
 
 
 def spread(focused, coc, side, height=0.0):
@@ -309,6 +346,12 @@ def test_unknown_lens_lists_those_that_ship(tmp_path):
             SINGLET.replace("stop", "inf 30 air 0.5 0\nstop").replace("stop 0 air 5", "stop 9 air 0.5"),
             "surface 1.*its rim",
         ),
+        # A rim like a pinhole: it leaves the ray along the axis alone.
+        (SINGLET.replace("50 4 1.5/60 8", "50 4 1.5/60 0.01"), "on its axis: 33 of 33 rays end at surface 2 .its rim"),
+        # Light for the corner enters a dome straight, and meets its flat side too obliquely to leave it.
+        (REFLECTING, "surface 3 .it reflects them totally"),
+        # Light for the corner passes beside a bead behind the stop.
+        (MISSING, "surface 2 .they miss it"),
     ],
 )
 def test_lens_that_passes_no_light_is_refused(tmp_path, text, message):

@@ -9,6 +9,7 @@ from runtime.plan import needed_spreadlets
 from spreadlets.api import synthesize
 from spreadlets.camera import ThinLens
 from spreadlets.database import open_database
+from spreadlets.errors import InvalidParameterError
 from spreadlets.frame import Frame
 from spreadlets.metrics import ssim
 from spreadlets.psf_model import PsfGrid, get_model
@@ -102,6 +103,21 @@ def test_a_lens_blurs_the_corners_outwards_alike(lens, coc):
         np.testing.assert_allclose(other[::rows, ::cols], image, atol=0.02 * image.max())
     transposed = quiet(spot_frame(12, 8, coc), lens)[..., :3]
     np.testing.assert_allclose(transposed.swapaxes(0, 1), image, atol=0.02 * image.max())
+
+
+def test_corners_darken_as_the_lens_darkens_them(lens):
+    """The stop of a singlet stands before its glass: only the fourth power of the field's cosine darkens."""
+    frame = noise_frame(4.9, 5.1)
+    bright, dark = (quiet(frame, lens, vignetting=wanted) for wanted in (False, True))
+    place = (np.indices((SIZE, SIZE)) - 0.5 * (SIZE - 1)) * CAMERA.sensor_width_mm / SIZE
+    cosine_4 = (1.0 + (place**2).sum(axis=0) / CAMERA.focal_length_mm**2) ** -2
+    np.testing.assert_allclose(dark[..., :3], bright[..., :3] * cosine_4[..., None], rtol=0.03)
+    np.testing.assert_array_equal(dark[..., 3], bright[..., 3])
+
+
+def test_vignetting_needs_a_lens_of_glass(triangles):
+    with pytest.raises(InvalidParameterError, match="'simplelens' knows no vignetting; build one of 'physicallens'"):
+        synthesize(spot_frame(32, 32, 5.0), CAMERA, triangles, vignetting=True)
 
 
 def test_a_lens_fringes_a_spot_with_colour_by_side(lens):
