@@ -15,6 +15,9 @@ SEEN = 4
 MET = 5
 """Column of the weight of the samples that met a layer: it stopped them, or they passed it."""
 
+LEAST_MET = np.float32(1e-12)
+"""Weight of samples below which a layer is taken as unknown: the tails of recursive filters underflow."""
+
 
 @numba.njit(cache=True, fastmath=False, nogil=True)
 def mark_bins(coc, partition, first, width, cell, bin_width, most, near, far):
@@ -116,7 +119,7 @@ def composite(blurred, top, left, image, left_over):
         for col in range(left_over.shape[1]):
             base = col * N_SUMS
             met = blurred[row, base + MET]
-            if met > np.float32(0.0):
+            if met > LEAST_MET:
                 share = left_over[row, col] / met
                 for channel in range(4):
                     image[top + row, left + col, channel] += share * blurred[row, base + channel]

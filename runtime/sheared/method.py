@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
@@ -18,8 +19,8 @@ Image = npt.NDArray[np.float32]
 class TileFilter(Protocol):
     """Filters set up for certain samples and tiles."""
 
-    def __call__(self, tile: int, image: Image) -> None:
-        """Fill the pixels of a tile of an image (H, W, 4): only these, and without waiting for another tile."""
+    def fill(self, image: Image) -> None:
+        """Fill an image (H, W, 4) of zeros."""
 
     def figures(self) -> dict[str, float]:
         """Return figures of the set-up for the report, such as ``layers_per_tile``."""
@@ -35,12 +36,12 @@ class Method(Protocol):
         """Find partitions and layers, and set the filters up."""
 
 
-def run(tile_filter: TileFilter, n_tiles: int, image: Image) -> None:
+def run(fill_tile: Callable[[int, Image], None], n_tiles: int, image: Image) -> None:
     """Fill an image (H, W, 4) tile by tile, in as many threads as Numba may use.
 
     Tiles write different pixels and share nothing else, so the image does not depend on the number of threads. The
     kernels of a tile release the interpreter's lock.
     """
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in [pool.submit(tile_filter, tile, image) for tile in range(n_tiles)]:
+        for done in [pool.submit(fill_tile, tile, image) for tile in range(n_tiles)]:
             done.result()

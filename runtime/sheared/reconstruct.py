@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from runtime.render import Clock
-from runtime.sheared.method import Image, Method, run
+from runtime.sheared.lrdm import Lrdm, PracticalLrdm
+from runtime.sheared.method import Image, Method
 from runtime.sheared.samples import Samples
 from runtime.sheared.slr import Slr
 from spreadlets.camera import ThinLens
@@ -21,6 +22,9 @@ from spreadlets.sample_buffer import SampleBuffer
 METHODS: dict[str, Callable[..., Method]] = {
     "sheared": partial(Slr, sheared=True),
     "axis-aligned": partial(Slr, sheared=False),
+    "lrdm": partial(Lrdm, screen_filter="rotated"),
+    "lrdm-sheared": partial(PracticalLrdm, screen_filter="sheared"),
+    "lrdm-ewa": partial(PracticalLrdm, screen_filter="ewa"),
 }
 """Dataclasses of the methods' settings, some of them fixed."""
 
@@ -88,7 +92,7 @@ def reconstruct(
         tiling = method.tiling(flat.shape)
         tile_filter = method.prepare(flat, tiling)
     with clock.step("composite"):
-        run(tile_filter, len(tiling.inner()), image)
+        tile_filter.fill(image)
     plan = {"tiles": len(tiling.inner()), **tile_filter.figures()}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return image, {"plan": plan, "time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}

@@ -20,7 +20,7 @@ from runtime.sheared.filters import (
     with_uniform_lens,
 )
 from runtime.sheared.layers import Layers, find_layers
-from runtime.sheared.method import Image
+from runtime.sheared.method import Image, run
 from runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
 from runtime.sheared.samples import Samples
 from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
@@ -103,7 +103,11 @@ class _SlrTiles:
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", (self.tiling.inner(), self.tiling.outer()))
 
-    def __call__(self, tile: int, image: Image) -> None:
+    def fill(self, image: Image) -> None:
+        """Fill an image, tile by tile."""
+        run(self._fill_tile, len(self.boxes[0]), image)
+
+    def _fill_tile(self, tile: int, image: Image) -> None:
         """Fill the pixels of a tile."""
         given, here = self.samples, slice(*self.layers.first[tile : tile + 2])
         _slr_kernels.filter_tile(
