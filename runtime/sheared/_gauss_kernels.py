@@ -108,9 +108,10 @@ def ring_of(way, sxx, sxy, syy):
     longer, shorter, cosine, sine, _, n_taps, level = footprint_of(sxx, sxy, syy)
     texel = 1 << int(math.ceil(level))
     share = 0.5 + (TAP_OFFSET if n_taps == 4 else 0.0)
-    x = share * (longer * abs(cosine) + shorter * abs(sine)) + 1.5 * texel
-    y = share * (longer * abs(sine) + shorter * abs(cosine)) + 1.5 * texel
-    return texel * int(math.ceil(x / texel)), texel * int(math.ceil(y / texel))  # whole texels of every level
+    x = share * (longer * abs(cosine) + shorter * abs(sine)) + 0.5 * texel
+    y = share * (longer * abs(sine) + shorter * abs(cosine)) + 0.5 * texel
+    # Whole texels of every level; a lookup reaches half a texel beyond the centres of the outermost.
+    return texel * int(math.ceil(x / texel)), texel * int(math.ceil(y / texel))
 
 
 @Kernel
@@ -271,22 +272,29 @@ def add_lookup(source, texel, share, x, y, left, top, blurred):
     channels = source.shape[2]
     one = np.float32(1.0)
     cols = blurred.shape[1] // channels
+    place, beyond = np.empty(cols, np.int32), np.empty(cols, np.float32)
+    for col in range(cols):
+        u = (left + col + 0.5 + x) / texel - 0.5
+        place[col] = int(math.floor(u))
+        beyond[col] = u - place[col]
+    begin, end = place[0], place[cols - 1] + 2
+    line = np.empty((end - begin) * channels, np.float32)
     for row in range(blurred.shape[0]):
         v = (top + row + 0.5 + y) / texel - 0.5
-        line = int(math.floor(v))
-        fy = np.float32(v - line)
-        upper, lower = source[line], source[line + 1]
+        number = int(math.floor(v))
+        below = np.float32(share * (v - number))
+        above = np.float32(share - below)
+        upper = source[number, begin:end].reshape(line.size)
+        lower = source[number + 1, begin:end].reshape(line.size)
+        for i in range(line.size):
+            line[i] = above * upper[i] + below * lower[i]
         out = blurred[row]
         for col in range(cols):
-            u = (left + col + 0.5 + x) / texel - 0.5
-            place = int(math.floor(u))
-            fx = np.float32(u - place)
-            w00, w01 = share * (one - fy) * (one - fx), share * (one - fy) * fx
-            w10, w11 = share * fy * (one - fx), share * fy * fx
+            far = beyond[col]
+            near = one - far
+            here = (place[col] - begin) * channels
             for c in range(channels):
-                out[col * channels + c] += (
-                    w00 * upper[place, c] + w01 * upper[place + 1, c] + w10 * lower[place, c] + w11 * lower[place + 1, c]
-                )
+                out[col * channels + c] += near * line[here + c] + far * line[here + channels + c]
 
 
 @Kernel

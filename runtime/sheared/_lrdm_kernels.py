@@ -27,6 +27,12 @@ RANGE_FACTOR = 3.0
 LEAST_RATE = 0.02
 """Rates times the variance of the samples below this are taken as 0: no weight would differ by more than 4 %."""
 TINY = 1e-12
+MISSES, PASSES, SEES = range(3)
+"""What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
+ADOPTION = 2
+"""Partitions away from the next one with a layer."""
+MARGIN = 4096
+"""px: samples land no farther than this beyond a box's upper left corner."""
 
 Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
@@ -208,24 +214,27 @@ def set_up(m, spread, pixel, largest, moving, filters):
 
 
 @Kernel
-def filter_size(m, spread, pixel, moving, scratch):
-    """Return the geometric mean of the standard deviations of a partition's screen filter without a clamp, px."""
+def filter_extents(m, spread, pixel, moving, scratch):
+    """Return the standard deviations of a partition's screen filter along its axes, the longer first, unclamped, px."""
     set_up(m, spread, pixel, np.inf, moving, scratch)
-    return max(scratch[SXX] * scratch[SYY] - scratch[SXY] ** 2, 0.0) ** 0.25
+    mean = 0.5 * (scratch[SXX] + scratch[SYY])
+    half = math.hypot(0.5 * (scratch[SXX] - scratch[SYY]), scratch[SXY])
+    return math.sqrt(mean + half), math.sqrt(max(mean - half, 0.0))
 
 
 @Kernel
 def may_merge(nearer, farther, spread, pixel, moving, shrink, scratch):
     """Return whether the filter of two partitions together is at most some share smaller than that of either.
 
-    Both count alike, however many samples they have: else a few samples of one would not be seen in the other.
+    Both count alike, however many samples they have: else a few samples of one would not be seen in the other. Both axes
+    are compared: a moving and a still surface together may have a filter of the same area that suits neither.
     """
     both = 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
-    together = filter_size(both, spread, pixel, moving, scratch)
-    either = max(
-        filter_size(nearer, spread, pixel, moving, scratch), filter_size(farther, spread, pixel, moving, scratch)
-    )
-    return together >= (1.0 - shrink) * either
+    longer, shorter = filter_extents(both, spread, pixel, moving, scratch)
+    longer_1, shorter_1 = filter_extents(nearer, spread, pixel, moving, scratch)
+    longer_2, shorter_2 = filter_extents(farther, spread, pixel, moving, scratch)
+    keep = 1.0 - shrink
+    return longer >= keep * max(longer_1, longer_2) and shorter >= keep * max(shorter_1, shorter_2)
 
 
 @Kernel
@@ -251,6 +260,7 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
         Partitions with samples, and layers.
     """
     scratch = np.empty(N_FILTER)
+    found = moments[:, COUNT] > 0.0
     n_used, n_layers = 0, 0
     for p in range(moments.shape[0]):
         own[p], holes[p] = -1, n_layers
@@ -266,6 +276,16 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
             moments[n_layers] = moments[p]
             n_layers += 1
         own[p] = holes[p] = n_layers - 1
+    for distance in range(1, ADOPTION + 1):
+        for p in range(moments.shape[0] - 1):
+            nearer, farther = p - distance, p + distance
+            if own[p] >= 0:
+                continue
+            # What the statistics have missed joins the layer of a partition nearby rather than be lost.
+            if nearer >= 0 and found[nearer]:
+                own[p] = holes[p] = own[nearer]
+            elif farther < moments.shape[0] - 1 and found[farther]:
+                own[p] = holes[p] = own[farther]
     for layer in range(n_layers):
         set_up(moments[layer], spread, pixel, largest, moving, filters[layer])
     return n_used, n_layers
@@ -305,6 +325,42 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
 
 
 @Kernel
+def land(place, lens, time, slopes, box, moving, landing):
+    """Find the pixel of a box that each sample of a row is reprojected to (LRDM Eq. 1).
+
+    Parameters
+    ----------
+    place, lens : ndarray of shape (n, 2), float32
+    time : ndarray of shape (n,), float32
+    slopes : ndarray of shape (N_FILTER,), float32
+    box : tuple of int
+        Top, left, bottom, right in the image, px.
+    moving : bool
+        Whether there is motion at all.
+    landing : ndarray of shape (n,) or more, int32
+        Filled with ``row * width + col`` in the box, or -1 outside.
+    """
+    top, left, bottom, right = box
+    eta, bx, by = slopes[ETA], slopes[BX], slopes[BY]
+    # Truncation rounds down if everything is positive; half a pixel, as centres are at whole numbers.
+    dx, dy = np.float32(0.5 + MARGIN - left), np.float32(0.5 + MARGIN - top)
+    width, height = np.int32(right - left), np.int32(bottom - top)
+    margin, outside = np.int32(MARGIN), np.int32(-1)
+    if moving:
+        for i in range(place.shape[0]):
+            col = np.int32(place[i, 0] - eta * lens[i, 0] - bx * time[i] + dx) - margin
+            row = np.int32(place[i, 1] - eta * lens[i, 1] - by * time[i] + dy) - margin
+            within = (col >= 0) & (col < width) & (row >= 0) & (row < height)
+            landing[i] = row * width + col if within else outside
+    else:
+        for i in range(place.shape[0]):
+            col = np.int32(place[i, 0] - eta * lens[i, 0] + dx) - margin
+            row = np.int32(place[i, 1] - eta * lens[i, 1] + dy) - margin
+            within = (col >= 0) & (col < width) & (row >= 0) & (row < height)
+            landing[i] = row * width + col if within else outside
+
+
+@Kernel
 def reproject(samples, partition, own, holes, layer, slopes, box, reach, moving, sums):
     """Add the samples around a tile to the sums of one of its layers, at (u, v, t) = (0, 0, 1/2) (LRDM Eq. 1).
 
@@ -324,40 +380,40 @@ def reproject(samples, partition, own, holes, layer, slopes, box, reach, moving,
         Largest lens coordinate and largest time of a sample.
     moving : bool
         Whether there is motion at all.
-    sums : ndarray of shape (h, w, N_SUMS), float32
+    sums : ndarray of shape (h * w, N_SUMS), float32
         Zero; filled.
     """
     colour, place, lens, time, first, shape = samples
     top, left, bottom, right = box
-    eta, bx, by = slopes[ETA], slopes[BX], slopes[BY]
     lens_rate, time_rate = slopes[LENS_RATE], slopes[TIME_RATE]
     weighted = lens_rate > np.float32(0.0) or time_rate > np.float32(0.0)
-    dx = int(math.ceil(abs(eta) * reach[0] + abs(bx) * reach[1] + 1.0))
-    dy = int(math.ceil(abs(eta) * reach[0] + abs(by) * reach[1] + 1.0))
-    half = np.float32(0.5)
+    dx = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BX]) * reach[1] + 1.0))
+    dy = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BY]) * reach[1] + 1.0))
+    counts = np.empty(own.size, np.int8)  # what a sample of each partition is to the layer
+    for p in range(own.size):
+        counts[p] = SEES if own[p] == layer else PASSES if layer < holes[p] else MISSES
+    left_end, right_end = max(left - dx, 0), min(right + dx, shape[1])
+    landing = np.empty(0, np.int32)
     weight = np.float32(1.0)
     for row in range(max(top - dy, 0), min(bottom + dy, shape[0])):
-        begin = first[row * shape[1] + max(left - dx, 0)]
-        end = first[row * shape[1] + min(right + dx, shape[1])]
+        begin, end = first[row * shape[1] + left_end], first[row * shape[1] + right_end]
+        if end - begin > landing.size:
+            landing = np.empty(2 * (end - begin), np.int32)
+        land(place[begin:end], lens[begin:end], time[begin:end], slopes, box, moving, landing)
         for i in range(begin, end):
-            p = partition[i]
-            if layer > holes[p] or (layer == holes[p] and own[p] < 0):
-                continue
-            x, y = place[i, 0] - eta * lens[i, 0], place[i, 1] - eta * lens[i, 1]
-            if moving:
-                x -= bx * time[i]
-                y -= by * time[i]
-            col, line = int(math.floor(x + half)) - left, int(math.floor(y + half)) - top
-            if col < 0 or line < 0 or col >= sums.shape[1] or line >= sums.shape[0]:
+            pixel = landing[i - begin]
+            kind = counts[partition[i]]
+            if pixel < 0 or kind == MISSES:
                 continue
             if weighted:
                 squared = lens[i, 0] * lens[i, 0] + lens[i, 1] * lens[i, 1]
                 weight = np.float32(math.exp(-(lens_rate * squared + time_rate * time[i] * time[i])))
-            sums[line, col, MET] += weight
-            if own[p] == layer:
-                sums[line, col, SEEN] += weight
+            target = sums[np.uint32(pixel)]
+            target[MET] += weight
+            if kind == SEES:
+                target[SEEN] += weight
                 for channel in range(4):
-                    sums[line, col, channel] += weight * colour[i, channel]
+                    target[channel] += weight * colour[i, channel]
 
 
 @Kernel
@@ -385,7 +441,7 @@ def reproject_layers(samples, partition, tables, jobs, spread, moving, begin, en
         top, left, bottom, right = boxes[job]
         flat = sums[starts[job] : starts[job + 1]]
         flat[:] = np.float32(0.0)
-        target = flat.reshape((bottom - top, right - left, N_SUMS))
+        target = flat.reshape(((bottom - top) * (right - left), N_SUMS))
         box = (top, left, bottom, right)
         slopes = filters[layers[job]]
         reproject(samples, partition, own[tile], holes[tile], numbers[job], slopes, box, reach, moving, target)
