@@ -15,8 +15,8 @@ How the parts fit together, in the order of the work:
 3. `tiles.Tiling` divides the image into tiles, each with a border of samples that its filters may reach.
 4. `layers.find_layers` gives the layers of every tile: the partitions that its samples are in, merged or not, as a
    table ``slot[tile, partition]`` of layer numbers, and the range of CoC of each layer.
-5. A `method.Method` sets up one filter per layer, in vectorised NumPy over all layers of all tiles, and filters a tile
-   with a compiled kernel that holds no lock. `method.run` calls it for every tile, in threads; tiles write different
+5. A `method.Method` sets up one filter per layer, in vectorised NumPy over all layers of all tiles, and fills an image
+   with compiled kernels that hold no lock. `method.run` calls them for every tile, in threads; tiles write different
    pixels, so the image is the same for any number of threads.
 6. `reconstruct.METHODS` names the methods; `reconstruct.reconstruct` is what the public function calls.
 

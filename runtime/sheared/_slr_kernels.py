@@ -7,9 +7,18 @@ import numpy as np
 
 from runtime.sheared._tile_kernels import MET, N_SUMS, SEEN, blur, composite, gaussian, share_out
 
+WEIGHT_LEVELS = 255.0
+"""Largest sum of weights in fixed point: 8 bits after pre-integration (SLR Table I)."""
+COLOUR_LEVELS = 255.0
+"""Of a sample's colour in fixed point: 8 bits, so that sums have 16."""
+FILTERED_LEVELS = np.array([2047.0, 1023.0, 1023.0, 65535.0], np.float32)
+"""Of a layer's filtered colour in fixed point: 11, 10 and 10 bits (SLR Table I), and 16 of alpha, which SLR has not."""
+FILTERED_WEIGHT_LEVELS = 65535.0
+"""Of filtered weights in fixed point: 16 bits (SLR Table I)."""
+
 
 @numba.njit(cache=True, fastmath=False, nogil=True)
-def pre_integrate(samples, partition, slot, filters, outer, origin, bilinear, sums):
+def pre_integrate(samples, partition, slot, filters, outer, origin, options, sums):
     """Add the samples around a tile to the sums of its layers (SLR Algorithm 1, first loop).
 
     Parameters
@@ -25,13 +34,15 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, bilinear, su
         Top, left, bottom, right of the samples to take, px.
     origin : tuple of int
         Row and column of the sums' first pixel in the image, px.
-    bilinear : bool
-        Spread a sample over the four nearest pixels instead of adding it to the nearest.
+    options : tuple
+        bilinear (bool): spread a sample over the four nearest pixels instead of adding it to the nearest; steps
+        (float32): 0, or round weights to multiples of 1 / steps and sum them as integers.
     sums : ndarray of shape (L, h, w, N_SUMS), float32
         Added to.
     """
     colour, place, lens, first, width = samples
     shear, _, sigma_lens = filters
+    bilinear, steps = options
     top, left, bottom, right = outer
     for row in range(top, bottom):
         for i in range(first[row * width + left], first[row * width + right]):
@@ -47,20 +58,21 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, bilinear, su
                     col, line = int(math.floor(x)), int(math.floor(y))
                     fx, fy = np.float32(x - col), np.float32(y - line)
                     one = np.float32(1.0)
-                    add(sums[layer], line, col, weight * (one - fy) * (one - fx), colour[i], layer == own)
-                    add(sums[layer], line, col + 1, weight * (one - fy) * fx, colour[i], layer == own)
-                    add(sums[layer], line + 1, col, weight * fy * (one - fx), colour[i], layer == own)
-                    add(sums[layer], line + 1, col + 1, weight * fy * fx, colour[i], layer == own)
+                    add(sums[layer], line, col, weight * (one - fy) * (one - fx), steps, colour[i], layer == own)
+                    add(sums[layer], line, col + 1, weight * (one - fy) * fx, steps, colour[i], layer == own)
+                    add(sums[layer], line + 1, col, weight * fy * (one - fx), steps, colour[i], layer == own)
+                    add(sums[layer], line + 1, col + 1, weight * fy * fx, steps, colour[i], layer == own)
                 else:
-                    add(
-                        sums[layer], int(math.floor(y + 0.5)), int(math.floor(x + 0.5)), weight, colour[i], layer == own
-                    )
+                    line, col = int(math.floor(y + 0.5)), int(math.floor(x + 0.5))
+                    add(sums[layer], line, col, weight, steps, colour[i], layer == own)
 
 
 @numba.njit(cache=True, fastmath=False, nogil=True, inline="always")
-def add(sums, row, col, weight, colour, seen):
+def add(sums, row, col, weight, steps, colour, seen):
     """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if within."""
     if 0 <= row < sums.shape[0] and 0 <= col < sums.shape[1]:
+        if steps > np.float32(0.0):
+            weight = np.float32(math.floor(weight * steps + np.float32(0.5)))
         sums[row, col, MET] += weight
         if seen:
             sums[row, col, SEEN] += weight
@@ -69,12 +81,39 @@ def add(sums, row, col, weight, colour, seen):
 
 
 @numba.njit(cache=True, fastmath=False, nogil=True)
-def filter_tile(samples, partition, slot, filters, inner, outer, reach, bilinear, image):
+def saturate(sums):
+    """Limit the sums (h, w, N_SUMS) of a layer to what fixed point holds."""
+    for row in range(sums.shape[0]):
+        for col in range(sums.shape[1]):
+            for channel in range(4):
+                sums[row, col, channel] = min(sums[row, col, channel], np.float32(WEIGHT_LEVELS * COLOUR_LEVELS))
+            for column in (SEEN, MET):
+                sums[row, col, column] = min(sums[row, col, column], np.float32(WEIGHT_LEVELS))
+
+
+@numba.njit(cache=True, fastmath=False, nogil=True)
+def round_filtered(blurred):
+    """Round the filtered sums (h, w * N_SUMS) of a layer: its mean colour, and its weights; take colours back to 1."""
+    fine = np.float32(FILTERED_WEIGHT_LEVELS / WEIGHT_LEVELS)
+    for row in range(blurred.shape[0]):
+        for base in range(0, blurred.shape[1], N_SUMS):
+            met = blurred[row, base + MET]
+            for column in (SEEN, MET):
+                blurred[row, base + column] = np.rint(blurred[row, base + column] * fine) / fine
+            for channel in range(4):
+                if met > np.float32(0.0):
+                    levels = FILTERED_LEVELS[channel]
+                    mean = min(blurred[row, base + channel] / (met * np.float32(COLOUR_LEVELS)), np.float32(1.0))
+                    blurred[row, base + channel] = np.rint(mean * levels) / levels * blurred[row, base + MET]
+
+
+@numba.njit(cache=True, fastmath=False, nogil=True)
+def filter_tile(samples, partition, slot, filters, inner, outer, reach, options, image):
     """Reconstruct the pixels of a tile (SLR Algorithm 2).
 
     Parameters
     ----------
-    samples, partition, slot, filters, outer, bilinear
+    samples, partition, slot, filters, outer, options
         As for `pre_integrate`.
     inner : ndarray of shape (4,), int32
         Top, left, bottom, right of the tile, px.
@@ -85,13 +124,18 @@ def filter_tile(samples, partition, slot, filters, inner, outer, reach, bilinear
     """
     top, left, bottom, right = inner
     height, width = bottom - top, right - left
+    fixed_point = options[1] > np.float32(0.0)
     n_layers = filters[0].size
     sums = np.zeros((n_layers, height + 2 * reach, width + 2 * reach, N_SUMS), np.float32)
-    pre_integrate(samples, partition, slot, filters, outer, (top - reach, left - reach), bilinear, sums)
+    pre_integrate(samples, partition, slot, filters, outer, (top - reach, left - reach), options, sums)
     between = np.empty((height + 2 * reach, width * N_SUMS), np.float32)
     blurred = np.empty((height, width * N_SUMS), np.float32)
     left_over = np.ones((height, width), np.float32)
     for layer in range(n_layers):
+        if fixed_point:
+            saturate(sums[layer])
         blur(sums[layer], reach, gaussian(filters[1][layer], reach), between, blurred)
+        if fixed_point:
+            round_filtered(blurred)
         composite(blurred, top, left, image, left_over)
     share_out(top, left, image, left_over)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from runtime.sheared.samples import Samples
 from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
 from spreadlets.errors import InvalidParameterError
 
+HEADROOM = 4.0
+"""How many times the mean number of samples fixed point has room for in a pixel."""
+
 
 @dataclass(frozen=True)
 class Slr:
@@ -40,6 +43,9 @@ class Slr:
         weighted by a Gaussian that the disc cuts at three standard deviations.
     bilinear : bool
         Spread reprojected samples over four pixels instead of adding them to the nearest.
+    fixed_point : bool
+        Round intermediate sums to the bits of SLR Table I; colours are clipped to [0, 1], which SLR's are, and rounded
+        to 8 bits.
     actual_range : bool
         Filters for the CoC that a tile has, or for all that its partitions may have.
     tile : int
@@ -53,6 +59,7 @@ class Slr:
     sheared: bool = True
     aperture: Aperture = "disc"
     bilinear: bool = False
+    fixed_point: bool = False
     actual_range: bool = True
     tile: int = DEFAULT_TILE
     layers: int = 2 * PER_SIDE
@@ -84,20 +91,33 @@ class Slr:
         """Find the layers of each tile and set their filters up."""
         partitioning = Partitioning.of_constant_energy(self.layers // 2)
         partition = partitioning.of(samples)
+        steps = 0.0
+        if self.fixed_point:
+            samples, steps = _fixed_point(samples)
         layers = find_layers(samples, partition, partitioning, tiling, actual_range=self.actual_range)
-        return _SlrTiles(self, samples, partition, layers, self.filters(layers), tiling)
+        return _SlrTiles(samples, partition, layers, self.filters(layers), tiling, (self.bilinear, np.float32(steps)))
+
+
+def _fixed_point(samples: Samples) -> tuple[Samples, float]:
+    """Return samples with integer colours, and the integer that stands for a weight of 1.
+
+    A pixel's weights add up to 8 bits at most; `HEADROOM` times the usual number of samples may be reprojected to it.
+    """
+    colour = np.rint(np.clip(samples.colour, 0.0, 1.0) * np.float32(_slr_kernels.COLOUR_LEVELS))
+    per_pixel = max(len(samples.coc) / (samples.shape[0] * samples.shape[1]), 1.0)
+    return replace(samples, colour=colour), max(np.floor(_slr_kernels.WEIGHT_LEVELS / (HEADROOM * per_pixel)), 1.0)
 
 
 @dataclass(frozen=True)
 class _SlrTiles:
     """What `Slr.prepare` found."""
 
-    method: Slr
     samples: Samples
     partition: np.ndarray[tuple[int], np.dtype[np.uint8]]
     layers: Layers
     set_up: Filters
     tiling: Tiling
+    options: tuple[bool, np.float32]
     boxes: tuple[np.ndarray, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -105,9 +125,9 @@ class _SlrTiles:
 
     def fill(self, image: Image) -> None:
         """Fill an image, tile by tile."""
-        run(self._fill_tile, len(self.boxes[0]), image)
+        run(self.fill_tile, len(self.boxes[0]), image)
 
-    def _fill_tile(self, tile: int, image: Image) -> None:
+    def fill_tile(self, tile: int, image: Image) -> None:
         """Fill the pixels of a tile."""
         given, here = self.samples, slice(*self.layers.first[tile : tile + 2])
         _slr_kernels.filter_tile(
@@ -118,7 +138,7 @@ class _SlrTiles:
             self.boxes[0][tile],
             self.boxes[1][tile],
             REACH,
-            self.method.bilinear,
+            self.options,
             image,
         )
 

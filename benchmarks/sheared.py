@@ -1,0 +1,301 @@
+"""The layered reconstructions of SLR (`runtime.sheared`) on three rendered frames, and on cases whose answer is known.
+
+    python benchmarks/sheared.py [--frames DIR]
+
+Similarity of displayed images in dB (PSNR) and as SSIM. Several tables:
+
+- defocus and motion: the renderer's samples against its converged image;
+- at rest: samples with defocus only, traced through the frames' depth layers (hidden surfaces there), against the mean
+  of 256 of them in each pixel;
+- moved: the renderer's samples, moved to mid-shutter, against its converged defocus;
+- settings; intermediate sums in fixed point (SLR Table I) against float on the same 8-bit displayed colours; tiles of
+  64 px against 32 px;
+- time for 1280 x 720 px at 16 samples per pixel, two threads, the frame's samples repeated. Wall time depends on what
+  else the machine does, so the CPU time of the process is beside it.
+
+Writes sheared.txt, a picture of each frame and the visibility test of SLR Figs. 6 to 8 to benchmarks/results.
+"""
+
+import time
+from pathlib import Path
+
+import matplotlib
+import numba
+import numpy as np
+from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scipy import ndimage
+
+import spreadlets as sp
+from spreadlets.metrics import display_encode, psnr, ssim
+
+COUNTS = (1, 2, 4)
+METHODS = ("mean", "axis-aligned", "sheared")
+GOAL_OVER_MEAN_DB = 6.0
+GOAL_SECONDS = 3.0
+REFERENCE_SAMPLES = 256
+STEPS = 8
+"""Of the search for where a ray meets a layer: each takes the CoC of where the last one arrived."""
+SETTINGS = (
+    {},
+    {"bilinear": True},
+    {"sigma_pixel": 0.33},
+    {"sigma_pixel": 0.7},
+    {"actual_range": False},
+    {"layers": 16},
+    {"layers": 60},
+)
+SETTINGS += ({"tile": 16}, {"tile": 64}, {"aperture": "gaussian"})
+LARGE = (720, 1280)
+LARGE_REPEATS = 4
+"""Of the 4 samples of a pixel: 16."""
+
+Image = np.ndarray
+
+
+class Layer:
+    """A depth layer to trace: colours and CoC of each pixel, also where there is nothing."""
+
+    def __init__(self, layer: object, camera: sp.ThinLens) -> None:
+        alpha = layer.radiance[..., 3]
+        nothing = alpha <= 0
+        nearest = ndimage.distance_transform_edt(nothing, return_distances=False, return_indices=True)
+        self.alpha, self.depth = alpha, layer.depth[tuple(nearest)]
+        self.colour = layer.radiance[..., :3] / np.where(nothing, 1, alpha)[..., None]
+        self.coc = camera.coc_radius(self.depth, alpha.shape[1])
+
+    def meet(self, x: Image, y: Image, u: Image, v: Image) -> tuple[Image, Image]:
+        """Return the pixel (row, col) where rays meet the layer."""
+        rows, cols = self.coc.shape
+        row, col = np.rint(y), np.rint(x)
+        for _ in range(STEPS):
+            coc = self.coc[np.clip(row, 0, rows - 1).astype(int), np.clip(col, 0, cols - 1).astype(int)]
+            row, col = np.rint(y - coc * v), np.rint(x - coc * u)
+        return np.clip(row, 0, rows - 1).astype(int), np.clip(col, 0, cols - 1).astype(int)
+
+
+def trace(layers: list[Layer], n_samples: int, rng: np.random.Generator) -> sp.SampleBuffer:
+    """Return a buffer of samples with defocus only."""
+    shape = (*layers[0].coc.shape, n_samples)
+    radius, angle = np.sqrt(rng.random(shape)), 2 * np.pi * rng.random(shape)
+    u, v = radius * np.cos(angle), radius * np.sin(angle)
+    offset = rng.random((*shape, 2)) - 0.5
+    x = np.arange(shape[1])[None, :, None] + offset[..., 0]
+    y = np.arange(shape[0])[:, None, None] + offset[..., 1]
+    colour, depth, coc = np.zeros((*shape, 4), np.float32), np.full(shape, np.inf, np.float32), np.zeros(shape)
+    free = np.ones(shape, bool)
+    for layer in layers:
+        row, col = layer.meet(x, y, u, v)
+        hit = free & (rng.random(shape) < layer.alpha[row, col])
+        colour[hit] = np.append(layer.colour, np.ones((*layer.alpha.shape, 1)), axis=2)[row, col][hit]
+        depth[hit], coc[hit] = layer.depth[row, col][hit], layer.coc[row, col][hit]
+        free &= ~hit
+    still = np.zeros((*shape, 2), np.float32)
+    return sp.SampleBuffer(colour, depth, still, np.stack([u, v], axis=-1), np.zeros(shape), offset, coc_radius=coc)
+
+
+def traced(scene: Scene) -> tuple[sp.SampleBuffer, Image]:
+    """Return a buffer of 4 samples per pixel of a scene at rest, and the mean of many."""
+    layers = [Layer(layer, scene.camera) for layer in scene.layered.layers]
+    rng = np.random.default_rng(1)
+    batches = REFERENCE_SAMPLES // max(COUNTS)
+    total = sum(trace(layers, max(COUNTS), rng).radiance.mean(axis=2) for _ in range(batches))
+    return trace(layers, max(COUNTS), rng), total / batches
+
+
+def compare_methods(
+    report: Report, title: str, buffer: sp.SampleBuffer, camera: sp.ThinLens, reference: Image, methods: tuple[str, ...]
+) -> dict[str, list[Image]]:
+    """Add a row for each method: PSNR and SSIM at each number of samples; return the images."""
+    images = {}
+    for method in methods:
+        motion = {} if method == "mean" or "moved" not in title else {"motion": False}
+        images[method] = [sp.reconstruct(buffer.take(n), camera, method=method, **motion) for n in COUNTS]
+        values = [f"{psnr(image, reference):.2f}" for image in images[method]]
+        values += [f"{ssim(image, reference):.4f}" for image in images[method]]
+        report.row(f"{title}, {method}", *values)
+    return images
+
+
+def gain(better: Image, worse: Image, reference: Image) -> float:
+    """Return the gain in dB."""
+    return psnr(better, reference) - psnr(worse, reference)
+
+
+def quality(report: Report, scene: Scene) -> None:
+    """Add the tables of a frame and save its picture."""
+    images = compare_methods(report, scene.name, scene.samples, scene.camera, scene.reference, METHODS)
+    for method in METHODS[1:]:
+        over = gain(images[method][-1], images["mean"][-1], scene.reference)
+        report.row(f"{scene.name}, {method} over mean", "-", "-", f"{over:+.2f}", f">= {GOAL_OVER_MEAN_DB:g}")
+    shown = [images[method][-1] for method in ("sheared", "axis-aligned", "mean")]
+    save_pictures(RESULTS / f"sheared_{scene.name}.png", shown, scene.reference, shrink=3)
+    buffer, truth = traced(scene)
+    still = compare_methods(report, f"{scene.name} at rest", buffer, scene.camera, truth, METHODS)
+    gains = [gain(a, b, truth) for a, b in zip(still["sheared"], still["axis-aligned"], strict=True)]
+    report.row(f"{scene.name} at rest, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
+    shown = [still[method][-1] for method in ("sheared", "axis-aligned", "mean")]
+    save_pictures(RESULTS / f"sheared_{scene.name}_at_rest.png", shown, truth, shrink=3)
+    defocus = sp.read_image(scene.folder / f"{scene.name}_ref_dof.exr")
+    moved = compare_methods(report, f"{scene.name} moved", scene.samples, scene.camera, defocus, METHODS[1:])
+    gains = [gain(a, b, defocus) for a, b in zip(moved["sheared"], moved["axis-aligned"], strict=True)]
+    report.row(f"{scene.name} moved, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
+    report.add()
+
+
+def displayed(buffer: sp.SampleBuffer) -> sp.SampleBuffer:
+    """Return a buffer whose colours are those of an 8-bit display."""
+    colour = np.rint(255 * display_encode(buffer.radiance[..., :3])) / 255
+    colour = np.concatenate([colour, buffer.radiance[..., 3:]], axis=-1)
+    parts = buffer.depth, buffer.motion, buffer.lens_uv, buffer.time, buffer.offset
+    return sp.SampleBuffer(colour, *parts, valid=buffer.valid, coc_radius=buffer.coc_radius)
+
+
+def knobs(report: Report, scene: Scene) -> None:
+    """Add what the settings change: PSNR, SSIM and layers of a tile."""
+    for settings in SETTINGS:
+        image, figures = sp.reconstruct(scene.samples, scene.camera, method="sheared", settings=settings, report=True)
+        name = ", ".join(f"{key} {value}" for key, value in settings.items()) or "default"
+        cells = f"{psnr(image, scene.reference):.2f}", f"{ssim(image, scene.reference):.4f}"
+        report.row(f"{scene.name}, {name}", *cells, f"{figures['plan']['layers_per_tile']:.2f}")
+    shown = displayed(scene.samples)
+    for aperture in ("disc", "gaussian"):
+        exact, rounded = (
+            sp.reconstruct(shown, scene.camera, method="sheared", settings={"aperture": aperture, "fixed_point": on})
+            for on in (False, True)
+        )
+        difference = 255 * np.abs(exact - rounded)[..., :3]
+        cells = f"{difference.mean():.3f}", f"{np.quantile(difference, 0.999):.2f}", f"{difference.max():.2f}"
+        report.row(f"{scene.name}, fixed point, {aperture}", *cells, "8-bit steps: mean, 99.9 %, largest")
+
+
+def steps_at_borders(image: Image, reference: Image, tile: int) -> float:
+    """Return how much steeper the error is from tile to tile than from pixel to pixel elsewhere, as a ratio."""
+    error = display_encode(image[..., :3]) - display_encode(reference[..., :3])
+    ratios = []
+    for axis in (0, 1):
+        steps = np.abs(np.diff(error, axis=axis)).mean(axis=(1 - axis, 2))
+        border = np.arange(1, len(steps) + 1) % tile == 0
+        ratios.append(steps[border].mean() / steps[~border].mean())
+    return float(np.mean(ratios))
+
+
+def seams(report: Report, scene: Scene) -> None:
+    """Add how tiles of 64 px differ from those of 32 px, and how visible the borders of tiles are."""
+    for name, settings in (("actual range", {}), ("full range", {"actual_range": False})):
+        small, large = (
+            sp.reconstruct(scene.samples, scene.camera, method="sheared", settings=settings | {"tile": tile})
+            for tile in (32, 64)
+        )
+        difference = np.abs(display_encode(small[..., :3]) - display_encode(large[..., :3])) * 255
+        cells = f"{difference.mean():.4f}", f"{np.quantile(difference, 0.999):.3f}", f"{difference.max():.3f}"
+        ratio = steps_at_borders(small, scene.reference, 32)
+        report.row(f"{scene.name}, {name}", *cells, f"{ratio:.3f}")
+
+
+def enlarged(scene: Scene) -> sp.SampleBuffer:
+    """Return the samples of a scene repeated over 1280 x 720 px, 16 in each."""
+    given = scene.samples
+
+    def repeat(array: Image) -> Image:
+        times = [-(-wanted // side) for wanted, side in zip(LARGE, array.shape, strict=False)]
+        tiled = np.tile(array, (*times, *(1 for _ in array.shape[2:])))[: LARGE[0], : LARGE[1]]
+        return np.concatenate([tiled] * LARGE_REPEATS, axis=2)
+
+    coc = scene.camera.coc_radius(given.depth, given.shape[1])
+    arrays = given.radiance, given.depth, given.motion, given.lens_uv, given.time, given.offset
+    return sp.SampleBuffer(*map(repeat, arrays), coc_radius=repeat(coc))
+
+
+def speed(report: Report, scene: Scene) -> None:
+    """Add the times of a large frame."""
+    buffer = enlarged(scene)
+    for method in METHODS:
+        begin = time.process_time()
+        _, figures = sp.reconstruct(buffer, scene.camera, method=method, report=True)
+        used = time.process_time() - begin
+        goal = f"< {GOAL_SECONDS:g}" if method == "sheared" else ""
+        layers = figures["plan"]["layers_per_tile"] if "plan" in figures else 1.0
+        report.row(f"{scene.name}, {method}", f"{figures['time_s']['total']:.2f}", f"{used:.2f}", f"{layers:.1f}", goal)
+
+
+def two_discs(size: int, radius: float, blur: float, n_samples: int, rng: np.random.Generator) -> sp.SampleBuffer:
+    """Return samples of SLR Fig. 6: a red disc in front of focus and a green one behind it, before black."""
+    shape = size, size, n_samples
+    r, angle = np.sqrt(rng.random(shape)), 2 * np.pi * rng.random(shape)
+    u, v = r * np.cos(angle), r * np.sin(angle)
+    offset = rng.random((*shape, 2)) - 0.5
+    x = np.arange(size)[None, :, None] + offset[..., 0] - size // 2
+    y = np.arange(size)[:, None, None] + offset[..., 1] - size // 2
+    red, green = (np.hypot(x + side * blur * u, y + side * blur * v) < radius for side in (1, -1))
+    colour = np.select([red[..., None], green[..., None]], [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0, 0])
+    coc = np.select([red, green], [-blur, blur], 3 * blur)
+    zero = np.zeros((*shape, 2))
+    lens = np.stack([u, v], axis=-1)
+    return sp.SampleBuffer(colour, np.full(shape, 9.0), zero, lens, zero[..., 0], offset, coc_radius=coc)
+
+
+def visibility(path: Path) -> None:
+    """Draw SLR Figs. 6 to 8: the exact image, the reconstruction, and both along a line with Eqs. 36 and 37."""
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    size, camera = 96, sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2, focus_distance_m=4)
+    cases = {"as in Fig. 6": (26.0, 16.0), "smaller lens": (26.0, 5.0), "smaller disc": (13.0, 16.0)}
+    figure, axes = pyplot.subplots(3, 3, figsize=(9, 8.6), layout="constrained")
+    for (name, (radius, blur)), (exact_at, found_at, line_at) in zip(cases.items(), axes, strict=True):
+        rng = np.random.default_rng(2)
+        truth = sum(two_discs(size, radius, blur, 64, rng).radiance.mean(axis=2) for _ in range(12)) / 12
+        found = sp.reconstruct(two_discs(size, radius, blur, 8, rng), camera, method="sheared")
+        for place, image, title in ((exact_at, truth, f"{name}: exact"), (found_at, found, "reconstructed, 8 samples")):
+            place.imshow(display_encode(image[..., :3]))
+            place.set(title=title, xticks=[], yticks=[])
+        distance, (red, green, seen) = seen_along(radius, blur, size // 2)
+        line_at.plot(distance, red, "r--", label="red, Eq. 36 and 37")
+        line_at.plot(distance, seen, "g--", label="green, exact (36)")
+        line_at.plot(distance, (1 - red) * green, "g:", label="green, Eq. 37")
+        line = found[size // 2, size // 2 :]
+        line_at.plot(line[:, 0], "r", line[:, 1], "g", lw=1)
+        line_at.set(title="solid: reconstructed", xlabel="px from the centre", xlim=(0, size // 2 - 1))
+        line_at.legend(fontsize=7)
+    figure.savefig(path, dpi=70)
+    pyplot.close(figure)
+
+
+def seen_along(radius: float, blur: float, end: int) -> tuple[Image, Image]:
+    """Return distances from the centre, px, and the means over a round lens there: red, green, green not hidden."""
+    u, v = np.meshgrid(*[np.linspace(-1, 1, 161)] * 2)
+    u, v = (each[np.hypot(u, v) <= 1] for each in (u, v))
+    distance = np.arange(0, end, 0.5)
+    red, green = (np.hypot(distance[:, None] + side * blur * u, blur * v) < radius for side in (1, -1))
+    return distance, np.stack([each.mean(axis=1) for each in (red, green, green & ~red)])
+
+
+def main() -> None:
+    given = parser(__doc__).parse_args()
+    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    visibility(RESULTS / "sheared_visibility.png")
+    found = scenes(given.frames)
+    if not found:
+        return
+    report = Report()
+    report.row("", *(f"dB at {n}" for n in COUNTS), *(f"SSIM at {n}" for n in COUNTS))
+    for scene in found:
+        quality(report, scene)
+    report.row("sheared, 4 samples", "dB", "SSIM", "layers/tile")
+    for scene in found:
+        knobs(report, scene)
+    report.add()
+    report.row(
+        "64 px tiles against 32 px", "mean", "99.9 %", "largest", "borders", "  8-bit steps; error's steps there"
+    )
+    for scene in found:
+        seams(report, scene)
+    report.add()
+    report.row("1280 x 720, 16 samples", "wall s", "CPU s", "layers/tile", "goal")
+    for scene in found:
+        speed(report, scene)
+    report.save("sheared.txt")
+
+
+if __name__ == "__main__":
+    main()
