@@ -29,8 +29,6 @@ LEAST_RATE = 0.02
 TINY = 1e-12
 MISSES, PASSES, SEES = range(3)
 """What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
-ADOPTION = 2
-"""Partitions away from the next one with a layer."""
 MARGIN = 4096
 """px: samples land no farther than this beyond a box's upper left corner."""
 
@@ -38,19 +36,25 @@ Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
 
 @Kernel
-def partition_of(coc, alpha, step, n_partitions):
-    """Return the partition of a sample: equal steps of CoC around focus, the last is for those that met nothing."""
-    if alpha == 0.0:
-        return n_partitions - 1
-    place = math.floor(coc / step) + (n_partitions - 1) // 2
-    return int(min(max(place, 0), n_partitions - 2))
-
-
-@Kernel
 def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
-    """Fill ``partition`` (N,), uint8, for samples begin to end - 1."""
+    """Find the partitions of samples begin to end - 1: equal steps of CoC around focus.
+
+    Parameters
+    ----------
+    coc : ndarray of shape (N,), float32
+    colour : ndarray of shape (N, 4), float32
+    step : float
+        px of CoC.
+    n_partitions : int
+        The last one is for samples that met nothing.
+    partition : ndarray of shape (N,), uint8
+        Filled.
+    """
+    scale, half = np.float32(1.0 / step), np.float32((n_partitions - 1) // 2)
+    lowest, highest = np.float32(0.0), np.float32(n_partitions - 2)
     for i in range(begin, end):
-        partition[i] = partition_of(coc[i], colour[i, 3], step, n_partitions)
+        place = min(max(coc[i] * scale + half, lowest), highest)
+        partition[i] = np.uint8(place) if colour[i, 3] != np.float32(0.0) else np.uint8(n_partitions - 1)
 
 
 @Kernel
@@ -77,13 +81,13 @@ def next_random(state):
 
 
 @Kernel
-def tile_moments(samples, box, order, stride, seed, moving, step, moments):
+def tile_moments(samples, box, order, stride, seed, moving, moments):
     """Sum the moments of a tile's partitions, over all samples or one of every so many.
 
     Parameters
     ----------
     samples : tuple
-        colour (N, 4), motion (N, 2), coc (N,), first (H * W + 1,), and the image's width.
+        partition (N,), motion (N, 2), coc (N,), first (H * W + 1,), and the image's width.
     box : ndarray of shape (4,), int32
         Top, left, bottom, right of the tile, px.
     order : ndarray of shape (T * T, 2), int16
@@ -94,12 +98,10 @@ def tile_moments(samples, box, order, stride, seed, moving, step, moments):
         Not 0.
     moving : bool
         Whether motion is summed.
-    step : float
-        px of CoC per partition.
     moments : ndarray of shape (P, N_MOMENTS), float64
         Zero; filled.
     """
-    colour, motion, coc, first, width = samples
+    partition, motion, coc, first, width = samples
     top, left, bottom, right = box
     state = np.uint32(seed)
     still = np.zeros(2, np.float32)
@@ -116,8 +118,7 @@ def tile_moments(samples, box, order, stride, seed, moving, step, moments):
         here = first[row * width + col + 1] - begin
         while wanted < passed + here:
             i = begin + wanted - passed
-            p = partition_of(coc[i], colour[i, 3], step, moments.shape[0])
-            add_moments(moments, p, coc[i], motion[i] if moving else still)
+            add_moments(moments, partition[i], coc[i], motion[i] if moving else still)
             if stride > 1:
                 bucket += stride
                 state = next_random(state)
@@ -125,6 +126,36 @@ def tile_moments(samples, box, order, stride, seed, moving, step, moments):
             else:
                 wanted += 1
         passed += here
+
+
+@Kernel
+def add_missed(samples, box, moving, moments):
+    """Add all samples of the partitions that sparse statistics have missed: few, so they cost little.
+
+    Parameters
+    ----------
+    samples, box, moving, moments
+        As for `tile_moments`, which has filled the moments.
+    """
+    partition, motion, coc, first, width = samples
+    top, left, bottom, right = box
+    still = np.zeros(2, np.float32)
+    missed = moments[:, COUNT] == 0.0
+    one, last_bit = np.uint64(1), np.uint64(63)
+    wanted = np.uint64(0)  # a bit for each partition; those beyond 63 share theirs
+    for p in range(missed.size):
+        if missed[p]:
+            wanted |= one << (np.uint64(p) & last_bit)
+    for row in range(top, bottom):
+        begin, end = first[row * width + left], first[row * width + right]
+        here = np.uint64(0)
+        for each in partition[begin:end]:
+            here |= one << (np.uint64(each) & last_bit)
+        if here & wanted == np.uint64(0):
+            continue
+        for i in range(begin, end):
+            if missed[partition[i]]:
+                add_moments(moments, partition[i], coc[i], motion[i] if moving else still)
 
 
 @Kernel
@@ -260,7 +291,6 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
         Partitions with samples, and layers.
     """
     scratch = np.empty(N_FILTER)
-    found = moments[:, COUNT] > 0.0
     n_used, n_layers = 0, 0
     for p in range(moments.shape[0]):
         own[p], holes[p] = -1, n_layers
@@ -276,16 +306,6 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
             moments[n_layers] = moments[p]
             n_layers += 1
         own[p] = holes[p] = n_layers - 1
-    for distance in range(1, ADOPTION + 1):
-        for p in range(moments.shape[0] - 1):
-            nearer, farther = p - distance, p + distance
-            if own[p] >= 0:
-                continue
-            # What the statistics have missed joins the layer of a partition nearby rather than be lost.
-            if nearer >= 0 and found[nearer]:
-                own[p] = holes[p] = own[nearer]
-            elif farther < moments.shape[0] - 1 and found[farther]:
-                own[p] = holes[p] = own[farther]
     for layer in range(n_layers):
         set_up(moments[layer], spread, pixel, largest, moving, filters[layer])
     return n_used, n_layers
@@ -305,20 +325,21 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
     spread
         As for `set_up`.
     settings : tuple
-        Step of the partitions, variance of the pixel filter, largest variance, whether there is motion, and by how much
-        filters may shrink.
+        Variance of the pixel filter, largest variance, whether there is motion, and by how much filters may shrink.
     tables : tuple
         ``own`` and ``holes`` (T, P) int16, ``filters`` (T, P, N_FILTER) float64, ``counts`` (T, 2) int32: of used
         partitions and of layers. Filled.
     """
-    step, pixel, largest, moving, shrink = settings
+    pixel, largest, moving, shrink = settings
     own, holes, filters, counts = tables
     stride, seed = sampling
     moments = np.empty((own.shape[1], N_MOMENTS))
     for tile in range(begin, end):
         moments[:] = 0.0
         state = next_random(np.uint32(seed + tile * 2654435761 | 1))
-        tile_moments(samples, boxes[tile], order, stride, state, moving, step, moments)
+        tile_moments(samples, boxes[tile], order, stride, state, moving, moments)
+        if stride > 1:
+            add_missed(samples, boxes[tile], moving, moments)
         counts[tile, 0], counts[tile, 1] = tile_layers(
             moments, spread, pixel, largest, moving, shrink, own[tile], holes[tile], filters[tile]
         )

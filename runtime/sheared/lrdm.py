@@ -40,6 +40,8 @@ DEFAULT_BLOCK = 256
 """px: side of the large tiles that are worked on one after the other."""
 TILE_UNIT = 32
 """px: tiles are multiples of the largest texel of a pyramid."""
+SAMPLES_AT_A_TIME = 1 << 16
+"""For what is done sample by sample."""
 SEED = 0x9E3779B9
 """Of the sparse statistics."""
 
@@ -121,12 +123,32 @@ class Lrdm:
         """Find the layers of each tile and set their filters up."""
         moving = not self.skip_motion or bool(samples.motion.any())
         spread = spread_of(samples)
+        partition = self.partitions(samples)
         begin = time.perf_counter()
-        tables = self.set_up(samples, tiling, spread, moving)
+        tables = self.set_up(samples, partition, tiling, spread, moving)
         seconds = time.perf_counter() - begin
-        return LrdmFilter(self, samples, tiling, spread, moving, tables, seconds)
+        return LrdmFilter(self, samples, partition, tiling, spread, moving, tables, seconds)
 
-    def set_up(self, samples: Samples, tiling: Tiling, spread: npt.NDArray[np.float64], moving: bool) -> Tables:
+    def partitions(self, samples: Samples) -> npt.NDArray[np.uint8]:
+        """Return the partition of each sample, from near to far; the last is for those that met nothing."""
+        partition = np.empty(len(samples.coc), np.uint8)
+        _in_parts(
+            lambda begin, end: _lrdm_kernels.assign_partitions(
+                samples.coc, samples.colour, self.step, self.layers + 1, begin, end, partition
+            ),
+            len(partition),
+            SAMPLES_AT_A_TIME,
+        )
+        return partition
+
+    def set_up(
+        self,
+        samples: Samples,
+        partition: npt.NDArray[np.uint8],
+        tiling: Tiling,
+        spread: npt.NDArray[np.float64],
+        moving: bool,
+    ) -> Tables:
         """Take the statistics of all tiles, merge partitions and set their filters up."""
         boxes, n_partitions = tiling.inner(), self.layers + 1
         shape = len(boxes), n_partitions
@@ -134,8 +156,8 @@ class Lrdm:
         filters, counts = np.zeros((*shape, _lrdm_kernels.N_FILTER)), np.empty((len(boxes), 2), np.int32)
         per_pixel = max(round(len(samples.coc) / (samples.shape[0] * samples.shape[1])), 1)
         sampling = max(self.sparsity * per_pixel, 1), SEED
-        given = (samples.colour, samples.motion, samples.coc, samples.first, samples.shape[1])
-        settings = (self.step, self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
+        given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
+        settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
         _in_parts(
             lambda begin, end: _lrdm_kernels.set_up_tiles(
                 given,
@@ -192,6 +214,7 @@ class LrdmFilter:
 
     method: Lrdm
     samples: Samples
+    partition: npt.NDArray[np.uint8]
     layout: Tiling
     spread: npt.NDArray[np.float64]
     moving: bool
@@ -203,12 +226,11 @@ class LrdmFilter:
         way = SCREEN_FILTERS[self.method.screen_filter]
         rings = np.empty((len(self.tables.filters), 2), np.int32)
         _gauss_kernels.ring_of_layers(way, self.tables.filters, _lrdm_kernels.SXX, rings)
-        partition = self._partitions()
         blocks = [self._jobs(tiles, rings) for tiles in self._blocks()]
         size = max(int(jobs[-1][-1]) for _, _, jobs in blocks)
         sums, between = np.empty(size, np.float32), np.empty(size, np.float32)
         for inner, first_job, jobs in blocks:
-            self._block(way, partition, inner, first_job, jobs, sums, between, image)
+            self._block(way, inner, first_job, jobs, sums, between, image)
 
     def figures(self) -> dict[str, float]:
         """Return the mean numbers of partitions and layers of a tile, and the time of the set-up."""
@@ -218,19 +240,6 @@ class LrdmFilter:
             "layers_per_tile": len(self.tables.filters) / n_tiles,
             "set_up_s": self.set_up_s,
         }
-
-    def _partitions(self) -> npt.NDArray[np.uint8]:
-        """Return the partition of each sample."""
-        samples, method = self.samples, self.method
-        partition = np.empty(len(samples.coc), np.uint8)
-        _in_parts(
-            lambda begin, end: _lrdm_kernels.assign_partitions(
-                samples.coc, samples.colour, method.step, method.layers + 1, begin, end, partition
-            ),
-            len(partition),
-            1 << 16,
-        )
-        return partition
 
     def _blocks(self) -> list[npt.NDArray[np.int64]]:
         """Return the tiles of each block, row by row."""
@@ -259,7 +268,6 @@ class LrdmFilter:
     def _block(
         self,
         way: int,
-        partition: npt.NDArray[np.uint8],
         inner: npt.NDArray[np.int32],
         first_job: npt.NDArray[np.int64],
         jobs: Jobs,
@@ -274,7 +282,7 @@ class LrdmFilter:
         column = _lrdm_kernels.SXX
         _in_parts(
             lambda begin, end: _lrdm_kernels.reproject_layers(
-                given, partition, found, jobs, self.spread, self.moving, begin, end, sums
+                given, self.partition, found, jobs, self.spread, self.moving, begin, end, sums
             ),
             len(jobs[0]),
             sizes.reproject,
