@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Image = npt.NDArray[np.float32]
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
-LAYERED_METHODS = ("sheared", "axis-aligned")
+LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
 """Those of `runtime.sheared`, a backend that nothing else needs."""
 DENOISERS = ("bm3d", "oidn")
 RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)

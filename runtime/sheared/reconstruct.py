@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from runtime.render import Clock
+from runtime.sheared.lrdm import Lrdm, PracticalLrdm
+from runtime.sheared.method import Image, Method
 from runtime.sheared.method import Image, Method
 from runtime.sheared.samples import Samples
 from runtime.sheared.slr import Slr
@@ -21,6 +23,9 @@ from spreadlets.sample_buffer import SampleBuffer
 METHODS: dict[str, Callable[..., Method]] = {
     "sheared": partial(Slr, sheared=True),
     "axis-aligned": partial(Slr, sheared=False),
+    "lrdm": partial(Lrdm, screen_filter="rotated"),
+    "lrdm-sheared": partial(PracticalLrdm, screen_filter="sheared"),
+    "lrdm-ewa": partial(PracticalLrdm, screen_filter="ewa"),
 }
 """Dataclasses of the methods' settings, some of them fixed."""
 

@@ -1,0 +1,346 @@
+"""LRDM's reconstruction of defocus and motion blur, with the practical improvements of 2015; see docs/lrdm.md."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from runtime.sheared import _gauss_kernels, _lrdm_kernels
+from runtime.sheared._tile_kernels import N_SUMS
+from runtime.sheared.filters import LARGEST_SIGMA
+from runtime.sheared.method import Image
+from runtime.sheared.samples import FloatArray, Samples
+from runtime.sheared.tiles import DEFAULT_TILE, Tiling
+from runtime.sheared.work import WorkSizes
+from spreadlets.errors import InvalidParameterError
+
+SCREEN_FILTERS = {"rotated": _gauss_kernels.ROTATED, "sheared": _gauss_kernels.SHEARED, "ewa": _gauss_kernels.EWA}
+
+DEFAULT_SIGMA_PIXEL = 0.5
+"""px; LRDM's figure 9 trades streaks for sharpness with it: .33 there."""
+DEFAULT_SPARSITY = 3
+"""Pixels in each of which one sample is taken for the statistics: LRDM's n = 3 spp (section 4)."""
+DEFAULT_SHRINK = 0.1
+"""Share by which a screen filter may shrink when partitions are merged (section 4)."""
+DEFAULT_STEP = 4.0
+"""px of CoC: width of a partition."""
+DEFAULT_LAYERS = 32
+"""Partitions over both sides of focus; the outermost have no end."""
+MOST_LAYERS = 254
+"""As many as a byte numbers, with that of the samples that met nothing."""
+DEFAULT_BLOCK = 256
+"""px: side of the large tiles that are worked on one after the other."""
+TILE_UNIT = 32
+"""px: tiles are multiples of the largest texel of a pyramid."""
+SAMPLES_AT_A_TIME = 1 << 16
+"""For what is done sample by sample."""
+SEED = 0x9E3779B9
+"""Of the sparse statistics."""
+
+Jobs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int32], Any]
+
+
+@dataclass(frozen=True)
+class Lrdm:
+    """Layered reconstruction for defocus and motion blur.
+
+    Attributes
+    ----------
+    screen_filter : {"rotated", "sheared", "ewa"}
+        How the Gaussian is drawn: in two passes along its axes (LRDM 2014), recursively along x and along a sheared
+        axis, or by lookups into a MIP pyramid (both LRDM 2015).
+    sparsity : int
+        Statistics of a tile are taken from one sample in so many pixels; 0 takes all samples.
+    shrink : float
+        Share by which a screen filter may shrink when two partitions are merged, from 0 to below 1; negative never
+        merges.
+    layers : int
+        Partitions over both sides of focus, an even number.
+    step : float
+        Width of a partition, px of CoC.
+    sigma_pixel : float
+        Standard deviation of the pixel filter, px.
+    largest_sigma : float
+        Clamp of the standard deviation of a screen filter, px; beyond it samples are reprojected less.
+    skip_motion : bool
+        Leave all that concerns motion out where nothing moves.
+    tile : int
+        Side of a tile, px, a multiple of 32.
+    block : int
+        Side of the large tiles that all steps are done for before the next one, px, a multiple of `tile`; 0 takes the
+        whole image, as LRDM does. Memory is in proportion.
+    """
+
+    screen_filter: str = "rotated"
+    sparsity: int = 0
+    shrink: float = -1.0
+    layers: int = DEFAULT_LAYERS
+    step: float = DEFAULT_STEP
+    sigma_pixel: float = DEFAULT_SIGMA_PIXEL
+    largest_sigma: float = LARGEST_SIGMA
+    skip_motion: bool = True
+    tile: int = DEFAULT_TILE
+    block: int = DEFAULT_BLOCK
+
+    def __post_init__(self) -> None:
+        if self.screen_filter not in SCREEN_FILTERS:
+            raise InvalidParameterError(
+                f"screen_filter {self.screen_filter!r} is unknown: allowed are {', '.join(SCREEN_FILTERS)}"
+            )
+        if self.layers % 2 or not 2 <= self.layers <= MOST_LAYERS:
+            raise InvalidParameterError(f"layers is {self.layers}: allowed are even numbers from 2 to {MOST_LAYERS}")
+        if self.tile < TILE_UNIT or self.tile % TILE_UNIT:
+            raise InvalidParameterError(f"tile is {self.tile}: allowed are multiples of {TILE_UNIT} px")
+        if self.block < 0 or self.block % self.tile:
+            raise InvalidParameterError(
+                f"block is {self.block}: allowed are 0 (the whole image) and multiples of the tile, {self.tile} px"
+            )
+        for name, value, low, high in (
+            ("sparsity", self.sparsity, 0, 64),
+            ("step", self.step, 0.25, 1000.0),
+            ("sigma_pixel", self.sigma_pixel, 0.1, 4.0),
+            ("largest_sigma", self.largest_sigma, 0.5, LARGEST_SIGMA),
+        ):
+            if not low <= value <= high:
+                raise InvalidParameterError(f"{name} is {value}: allowed are {low:g} to {high:g}")
+        if not self.shrink < 1.0:
+            raise InvalidParameterError(f"shrink is {self.shrink}: allowed are values below 1")
+        self.tiling((self.tile, self.tile))
+
+    def tiling(self, shape: tuple[int, int]) -> Tiling:
+        """Divide an image into tiles; how far a filter reaches beyond is known for each layer."""
+        return Tiling(shape, 0, self.tile)
+
+    def prepare(self, samples: Samples, tiling: Tiling) -> LrdmFilter:
+        """Find the layers of each tile and set their filters up."""
+        moving = not self.skip_motion or bool(samples.motion.any())
+        spread = spread_of(samples)
+        partition = self.partitions(samples)
+        begin = time.perf_counter()
+        tables = self.set_up(samples, partition, tiling, spread, moving)
+        seconds = time.perf_counter() - begin
+        return LrdmFilter(self, samples, partition, tiling, spread, moving, tables, seconds)
+
+    def partitions(self, samples: Samples) -> npt.NDArray[np.uint8]:
+        """Return the partition of each sample, from near to far; the last is for those that met nothing."""
+        partition = np.empty(len(samples.coc), np.uint8)
+        _in_parts(
+            lambda begin, end: _lrdm_kernels.assign_partitions(
+                samples.coc, samples.colour, self.step, self.layers + 1, begin, end, partition
+            ),
+            len(partition),
+            SAMPLES_AT_A_TIME,
+        )
+        return partition
+
+    def set_up(
+        self,
+        samples: Samples,
+        partition: npt.NDArray[np.uint8],
+        tiling: Tiling,
+        spread: npt.NDArray[np.float64],
+        moving: bool,
+    ) -> Tables:
+        """Take the statistics of all tiles, merge partitions and set their filters up."""
+        boxes, n_partitions = tiling.inner(), self.layers + 1
+        shape = len(boxes), n_partitions
+        own, holes = np.empty(shape, np.int16), np.empty(shape, np.int16)
+        filters, counts = np.zeros((*shape, _lrdm_kernels.N_FILTER)), np.empty((len(boxes), 2), np.int32)
+        per_pixel = max(round(len(samples.coc) / (samples.shape[0] * samples.shape[1])), 1)
+        sampling = max(self.sparsity * per_pixel, 1), SEED
+        given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
+        settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
+        _in_parts(
+            lambda begin, end: _lrdm_kernels.set_up_tiles(
+                given,
+                boxes,
+                morton_order(self.tile),
+                sampling,
+                spread,
+                settings,
+                begin,
+                end,
+                (own, holes, filters, counts),
+            ),
+            len(boxes),
+            WorkSizes.current().set_up,
+        )
+        used = np.arange(n_partitions) < counts[:, 1:]
+        first = np.concatenate([[0], np.cumsum(counts[:, 1])]).astype(np.int64)
+        return Tables(own, holes, filters[used].astype(np.float32), first, int(counts[:, 0].sum()))
+
+
+@dataclass(frozen=True)
+class PracticalLrdm(Lrdm):
+    """LRDM with the set-up of 2015: sparse statistics and merged partitions."""
+
+    sparsity: int = DEFAULT_SPARSITY
+    shrink: float = DEFAULT_SHRINK
+
+
+class Tables(NamedTuple):
+    """Layers and filters of all tiles.
+
+    Attributes
+    ----------
+    own, holes : ndarray of shape (T, P), int16
+        Layer that holds a partition's samples, -1 if none; number of layers that they are holes in.
+    filters : ndarray of shape (L, 8), float32
+        See `runtime.sheared._lrdm_kernels.ETA`, tile by tile, front to back.
+    first : ndarray of shape (T + 1,), int64
+        The layers of a tile are ``first[tile]`` to ``first[tile + 1] - 1``.
+    n_used : int
+        Partitions with samples before merging.
+    """
+
+    own: npt.NDArray[np.int16]
+    holes: npt.NDArray[np.int16]
+    filters: FloatArray
+    first: npt.NDArray[np.int64]
+    n_used: int
+
+
+@dataclass(frozen=True)
+class LrdmFilter:
+    """What `Lrdm.prepare` found."""
+
+    method: Lrdm
+    samples: Samples
+    partition: npt.NDArray[np.uint8]
+    layout: Tiling
+    spread: npt.NDArray[np.float64]
+    moving: bool
+    tables: Tables
+    set_up_s: float
+
+    def fill(self, image: Image) -> None:
+        """Fill an image (H, W, 4), block by block; the steps of a block are divided between threads."""
+        way = SCREEN_FILTERS[self.method.screen_filter]
+        rings = np.empty((len(self.tables.filters), 2), np.int32)
+        _gauss_kernels.ring_of_layers(way, self.tables.filters, _lrdm_kernels.SXX, rings)
+        blocks = [self._jobs(tiles, rings) for tiles in self._blocks()]
+        size = max(int(jobs[-1][-1]) for _, _, jobs in blocks)
+        sums, between = np.empty(size, np.float32), np.empty(size, np.float32)
+        for inner, first_job, jobs in blocks:
+            self._block(way, inner, first_job, jobs, sums, between, image)
+
+    def figures(self) -> dict[str, float]:
+        """Return the mean numbers of partitions and layers of a tile, and the time of the set-up."""
+        n_tiles = len(self.tables.own)
+        return {
+            "partitions_per_tile": self.tables.n_used / n_tiles,
+            "layers_per_tile": len(self.tables.filters) / n_tiles,
+            "set_up_s": self.set_up_s,
+        }
+
+    def _blocks(self) -> list[npt.NDArray[np.int64]]:
+        """Return the tiles of each block, row by row."""
+        inner = self.layout.inner()
+        side = self.method.block or max(self.layout.shape)
+        number = inner[:, 0] // side * (max(self.layout.shape) // side + 1) + inner[:, 1] // side
+        return [np.flatnonzero(number == each) for each in np.unique(number)]
+
+    def _jobs(
+        self, tiles: npt.NDArray[np.int64], rings: npt.NDArray[np.int32]
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], Jobs]:
+        """Return the boxes of a block's tiles, where the layers of each begin, and what is to be done for each layer."""
+        first, inner, side = self.tables.first, self.layout.inner(), self.method.tile
+        counts = first[tiles + 1] - first[tiles]
+        first_job = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        of_tile = np.repeat(np.arange(len(tiles)), counts)
+        number = np.arange(first_job[-1]) - first_job[of_tile]
+        layer = first[tiles[of_tile]] + number
+        corner = inner[tiles[of_tile], :2]
+        ring = rings[layer][:, ::-1]
+        boxes = np.concatenate([corner - ring, corner + side + ring], axis=1).astype(np.int32)
+        sizes = np.prod((side + 2 * ring).astype(np.int64), axis=1) * N_SUMS
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, starts)
+
+    def _block(
+        self,
+        way: int,
+        inner: npt.NDArray[np.int32],
+        first_job: npt.NDArray[np.int64],
+        jobs: Jobs,
+        sums: FloatArray,
+        between: FloatArray,
+        image: Image,
+    ) -> None:
+        """Fill the tiles of a block."""
+        samples, tables, method, sizes = self.samples, self.tables, self.method, WorkSizes.current()
+        given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
+        found = (tables.own, tables.holes, tables.filters)
+        column = _lrdm_kernels.SXX
+        _in_parts(
+            lambda begin, end: _lrdm_kernels.reproject_layers(
+                given, self.partition, found, jobs, self.spread, self.moving, begin, end, sums
+            ),
+            len(jobs[0]),
+            sizes.reproject,
+        )
+        _in_parts(
+            lambda begin, end: _gauss_kernels.blur_layers(
+                way, tables.filters, column, jobs, method.tile, begin, end, sums, between
+            ),
+            len(jobs[0]),
+            sizes.blur,
+        )
+        _in_parts(
+            lambda begin, end: _gauss_kernels.composite_tiles(
+                way, tables.filters, column, jobs, method.tile, inner, first_job, begin, end, sums, between, image
+            ),
+            len(inner),
+            sizes.composite,
+        )
+
+
+def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
+    """Return how far samples spread over lens and shutter.
+
+    Returns
+    -------
+    ndarray of shape (4,)
+        Variance along one axis of the lens, variance of time (frames^2), and the largest of either.
+    """
+    if len(samples.time) == 0:
+        return np.zeros(4)
+    lens = 0.5 * float(np.mean(np.einsum("ij,ij->i", samples.lens, samples.lens), dtype=np.float64))
+    return np.array(
+        [
+            lens,
+            float(np.mean(samples.time.astype(np.float64) ** 2)),
+            float(np.abs(samples.lens).max()),
+            float(np.abs(samples.time).max()),
+        ]
+    )
+
+
+@lru_cache
+def morton_order(tile: int) -> npt.NDArray[np.int16]:
+    """Return rows and columns of a tile's pixels along a Morton curve, shape (tile^2, 2)."""
+    rows, cols = (each.ravel() for each in np.meshgrid(np.arange(tile), np.arange(tile), indexing="ij"))
+    code = sum(((cols >> bit & 1) << 2 * bit) | ((rows >> bit & 1) << 2 * bit + 1) for bit in range(tile.bit_length()))
+    order = np.argsort(code, kind="stable")
+    return np.stack([rows[order], cols[order]], axis=1).astype(np.int16)
+
+
+def _in_parts(work: Callable[[int, int], Any], n: int, size: int) -> None:
+    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
+    parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
+    if numba.get_num_threads() == 1:
+        for begin, end in parts:
+            work(begin, end)
+        return
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        running: list[Future[Any]] = [pool.submit(work, begin, end) for begin, end in parts]
+        for done in running:
+            done.result()
