@@ -5,15 +5,21 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from runtime.render import Clock
 from spreadlets.errors import InvalidParameterError
 
+if TYPE_CHECKING:
+    from runtime.render import Clock
+
 Image = npt.NDArray[np.float32]
+
+SHARP_WINDOW = 5
+"""Side of the window, px, in which the share of sharp samples is taken."""
 
 LEAST_SIGMA = 1e-3
 """Least standard deviation of the noise that BM3D is told, on log(1 + radiance): it divides by it."""
@@ -52,6 +58,29 @@ def _package(name: str, method: str) -> Any:
         raise InvalidParameterError(
             f"method {method!r} needs the package {name}, which is not installed: pip install 'spreadlets[bench]'"
         ) from error
+
+
+def denoise_sharp(image: Image, sharp: Image, method: str) -> Image:
+    """Denoise an image where it is sharp, which no splatting can clean: there, a sample stays in its pixel.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 4), float32
+        Linear, premultiplied; alpha stays as it is.
+    sharp : ndarray of shape (H, W), float32
+        Share of each pixel's samples that are neither out of focus nor moving. From one half on, in the mean of a
+        window, the denoised image comes in, up to the whole of it at 1.
+    method : {"bm3d", "oidn"}
+        See `denoise`.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 4), float32
+    """
+    weight = np.clip(2.0 * ndimage.uniform_filter(sharp, SHARP_WINDOW, mode="nearest") - 1.0, 0.0, 1.0)[..., None]
+    colour = image[..., :3]
+    mixed = colour + weight * (DENOISERS[method](colour) - colour)
+    return np.concatenate([mixed.astype(np.float32), image[..., 3:]], axis=2)
 
 
 def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, dict[str, Any]]:

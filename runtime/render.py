@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import time
 import warnings
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from runtime import layers
 from runtime.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
+from runtime.denoise import DENOISERS, denoise_sharp
 from runtime.fireflies import NO_SHIFT, clamp_fireflies
 from runtime.pixels import Pixels, frame_pixels, sample_pixels
 from runtime.plan import DEFAULT_TOLERANCE, Plan, Settings, plan_pixels
@@ -34,6 +36,9 @@ SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
 LEAST_SAMPLES = 4.0
 """Samples that must have met a layer, or passed it, for a pixel to stand for itself."""
+
+SAMPLE_CLAMP = 32.0
+"""How many times as bright as all others around it a sample may be, by default."""
 
 STEPS = ("read", "plan", "splat", "integrate", "composite", "write")
 
@@ -118,7 +123,10 @@ class Options:
     softness : float
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft).
     firefly_clamp : float or None
-        How many times as bright as any other within a pixel of where it comes from a sample may be; None for any.
+        How many times as bright as any other within a pixel of where it comes from a sample may be; infinite for any.
+        By default any in synthesis, and `SAMPLE_CLAMP` in reconstruction.
+    denoise : str or None
+        Denoiser for the sharp parts of a reconstruction, see `runtime.denoise.denoise_sharp`.
     dense_psf : callable or None
         If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
     filtering : bool
@@ -133,6 +141,7 @@ class Options:
     n_layers: int | None = None
     softness: float = layers.DEFAULT_SOFTNESS
     firefly_clamp: float | None = None
+    denoise: str | None = None
     dense_psf: DensePsf | None = None
     filtering: bool = False
 
@@ -148,7 +157,9 @@ class Options:
         if not 0.0 <= self.softness <= 1.0:
             raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
         if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
-            raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, or none")
+            raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, inf for off")
+        if self.denoise is not None and self.denoise not in DENOISERS:
+            raise InvalidParameterError(f"denoise is {self.denoise!r}: allowed are {', '.join(DENOISERS)}, or none")
 
     def solver(self) -> Solver:
         """Return what makes images from what is splatted."""
@@ -248,28 +259,38 @@ def reconstruct(
     _warn_about_view(database, camera, samples.shape[1])
     with clock.step("plan"):
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
-        passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp)
+        passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp or SAMPLE_CLAMP)
         settings = options.settings(options.n_layers or layers.DEFAULT_LAYERS, stochastic=True)
         plan = plan_pixels(passes, database, settings)
         view = _PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
     _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
+    if options.denoise is not None:
+        with clock.step("composite"):
+            image = denoise_sharp(image, _sharp_share(plan, samples.valid), options.denoise)
     return image, _report(tally, database, clock)
+
+
+def _sharp_share(plan: Plan, valid: npt.NDArray[np.bool_]) -> Image:
+    """Return the share of each pixel's samples whose PSF reaches no farther than the pixels around it, (H, W)."""
+    narrow = np.append(plan.table.reaches <= 1, False)  # variant -1 is nothing
+    count = sum(narrow[members.variant].astype(np.float32) for members in plan.members)
+    return np.asarray(count / np.maximum(valid.sum(axis=2), 1), np.float32)
 
 
 def _clamped_frame(frame_layers: Sequence[Layer], factor: float | None) -> tuple[list[Layer], int]:
     """Clamp the fireflies of each layer of a frame, if asked for; return how many pixels were."""
-    if factor is None:
+    if factor is None or math.isinf(factor):
         return list(frame_layers), 0
     found = [clamp_fireflies([(layer.radiance, NO_SHIFT)], factor) for layer in frame_layers]
     clamped = [replace(layer, radiance=colours[0]) for layer, (colours, _) in zip(frame_layers, found, strict=True)]
     return clamped, sum(count for _, count in found)
 
 
-def _clamped_samples(passes: list[Pixels], factor: float | None) -> tuple[list[Pixels], int]:
-    """Clamp the fireflies among samples, if asked for; return how many were."""
-    if factor is None:
+def _clamped_samples(passes: list[Pixels], factor: float) -> tuple[list[Pixels], int]:
+    """Clamp the fireflies among samples; return how many were."""
+    if math.isinf(factor):
         return passes, 0
     shifts = [NO_SHIFT if each.labels.shift is None else each.labels.shift for each in passes]
     colours, count = clamp_fireflies([(each.radiance, s) for each, s in zip(passes, shifts, strict=True)], factor)

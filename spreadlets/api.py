@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
@@ -29,7 +29,7 @@ LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa"
 """Those of `runtime.sheared`, a backend that nothing else needs."""
 DENOISERS = ("bm3d", "oidn")
 RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
-SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness")
+SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp")
 """Options that mean nothing to the other methods."""
 
 
@@ -116,7 +116,8 @@ def synthesize(
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft, the default).
     firefly_clamp : float, optional
         How many times as bright as any other within a pixel of where it comes from a pixel, or a sample, may be, 1 or
-        more; by default any. It also dims true highlights of a single pixel.
+        more. In synthesis by default any, since a single pixel may be a true highlight; in reconstruction 32, and
+        infinity for any.
     defocus, motion : bool
         Whether to apply each effect.
     clock : Clock, optional
@@ -160,6 +161,7 @@ def reconstruct(
     method: str = ...,
     report: Literal[False] = ...,
     settings: Mapping[str, object] | None = ...,
+    denoise: str | None = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -173,6 +175,7 @@ def reconstruct(
     method: str = ...,
     report: Literal[True],
     settings: Mapping[str, object] | None = ...,
+    denoise: str | None = ...,
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
 
@@ -185,6 +188,7 @@ def reconstruct(
     method: str = "spreadlets",
     report: bool = False,
     settings: Mapping[str, object] | None = None,
+    denoise: str | None = None,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
     """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
@@ -202,6 +206,9 @@ def reconstruct(
     settings : mapping, optional
         Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr`; there, ``layers`` is the
         number of partitions over both sides of focus.
+    denoise : {"oidn", "bm3d"}, optional
+        Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
+        default off. For methods that splat.
 
     Returns
     -------
@@ -222,13 +229,15 @@ def reconstruct(
     if settings and method not in LAYERED_METHODS:
         raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
     if method in (*LAYERED_METHODS, "mean", *DENOISERS):
+        if denoise is not None:
+            raise InvalidParameterError(f"denoise is no option of method {method!r}")
         image, figures = _without_splatting(samples, camera, method, settings or {}, options)
         return (image, figures) if report else image
     from runtime import render
 
     with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
         given, clock = _render_options(opened, method, options)
-        image, figures = render.reconstruct(samples, camera, opened, given, clock)
+        image, figures = render.reconstruct(samples, camera, opened, replace(given, denoise=denoise), clock)
     return (image, figures) if report else image
 
 

@@ -231,7 +231,7 @@ def _input_settings(options: dict[str, Any]) -> dict[str, Any]:
     "--firefly-clamp",
     type=float,
     metavar="FACTOR",
-    help="Dim pixels or samples brighter than this times any other that comes from within a pixel. Default: off.",
+    help="Dim pixels brighter than this times any other around them (default: off).",
 )
 @click.option("--vignetting", is_flag=True, help="Darken the corners as the lens of a physicallens database does.")
 @click.option("--no-defocus", is_flag=True, help="Leave depth of field out.")
@@ -398,8 +398,9 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     "--firefly-clamp",
     type=float,
     metavar="FACTOR",
-    help="Dim pixels or samples brighter than this times any other that comes from within a pixel. Default: off.",
+    help="Dim samples brighter than this times any other that comes from within a pixel (default: 32; inf: off).",
 )
+@click.option("--denoise", metavar="NAME", help="Denoise what is sharp and still: oidn or bm3d, optional packages.")
 @click.option("--no-defocus", is_flag=True, help="Take depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Take motion blur out.")
 @click.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")

@@ -2,6 +2,10 @@ import numpy as np
 import pytest
 
 from runtime.fireflies import NO_SHIFT, clamp_fireflies
+from spreadlets import SampleBuffer, reconstruct, synthesize
+from spreadlets.camera import ThinLens
+from spreadlets.errors import InvalidParameterError
+from spreadlets.frame import Frame
 
 
 def clamped_naively(samples, factor):
@@ -60,3 +64,43 @@ def test_a_highlight_that_many_samples_met_stays():
 def test_black_samples_stay_black():
     (found,), count = clamp_fireflies([(np.zeros((4, 4, 4), np.float32), NO_SHIFT)], 2.0)
     assert count == 0 and not found.any()
+
+
+def buffer_with(firefly):
+    rng = np.random.default_rng(3)
+    shape = (24, 30, 2)
+    radiance = np.full((*shape, 3), 0.5)
+    radiance[12, 15, 0] += firefly
+    lens = rng.uniform(-0.7, 0.7, (*shape, 2))
+    return SampleBuffer(radiance, np.full(shape, 3.0), np.zeros((*shape, 2)), lens, np.zeros(shape))
+
+
+CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.08, focus_distance_m=2.0)
+
+
+@pytest.mark.parametrize(
+    "options, largest", [({}, 1.0), ({"firefly_clamp": 2.0}, 0.02), ({"firefly_clamp": np.inf}, 1e9)]
+)
+def test_a_firefly_paints_no_bokeh_in_a_reconstruction(small_combined, options, largest):
+    plain = reconstruct(buffer_with(0.0), CAMERA, small_combined, **options)
+    image, report = reconstruct(buffer_with(1e4), CAMERA, small_combined, report=True, **options)
+    change = np.abs(image - plain).max()
+    assert change < largest and report["plan"]["pixels_clamped"] == (not np.isinf(options.get("firefly_clamp", 1.0)))
+    if np.isinf(options.get("firefly_clamp", 1.0)):
+        assert change > 50
+
+
+def test_synthesis_clamps_only_if_asked(small_combined):
+    radiance = np.full((24, 30, 3), 0.5)
+    radiance[12, 15] = 1e4
+    frame = Frame(radiance, np.full((24, 30), 3.0))
+    kept, report = synthesize(frame, CAMERA, small_combined, report=True)
+    clamped, figures = synthesize(frame, CAMERA, small_combined, firefly_clamp=2.0, report=True)
+    assert kept.max() > 20 and clamped[..., :3].max() < 0.6
+    assert report["plan"]["pixels_clamped"] == 0 and figures["plan"]["pixels_clamped"] == 1
+
+
+@pytest.mark.parametrize("factor", [0.5, -1.0, np.nan])
+def test_an_impossible_clamp_is_refused(small_combined, factor):
+    with pytest.raises(InvalidParameterError, match="firefly_clamp is .*1 and more"):
+        reconstruct(buffer_with(0.0), CAMERA, small_combined, firefly_clamp=factor)
