@@ -238,8 +238,8 @@ NOTES_11 = (
     "![With the pre-filter, without it, each pixel's own PSF, and 4 x the difference of the first](lks_fig11.png)",
     "",
     "- As in the paper, the pre-filter turns the steps between cells into a slight blur. It does less here: "
-    "the largest step falls by a sixth, for an eighth more mean error, since the cells of this grid are narrower in CoC. The paper "
-    "shows it on a frame; on ours texture hides the steps, so this is a surface made to show them.",
+    "the largest step falls by a sixth, for an eighth more mean error, since the cells of this grid are narrower in "
+    "CoC. The paper shows it on a frame; on ours texture hides the steps, so this is a surface made to show them.",
 )
 
 
