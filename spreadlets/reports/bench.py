@@ -191,6 +191,8 @@ def run_bench(
 ) -> dict[str, Any]:
     """Run every contender on every frame, in turns, and write ``bench.csv``, the plots and ``bench.html``.
 
+    They are written after each frame, of what there is by then.
+
     Parameters
     ----------
     subjects : sequence of Subject
@@ -222,7 +224,7 @@ def run_bench(
         raise InvalidParameterError(f"cannot write to {str(output)!r}: {error}") from error
     notebook = Notebook(output, conditions(quick), fresh=fresh)
     rounds = QUICK_ROUNDS if quick else ROUNDS
-    done = 0
+    done, names, report = 0, [], {}
     for subject in subjects:
         listed = list(contenders(subject, output / "databases", quick=quick))
         total = len(subjects) * len(listed) * (rounds + 1)
@@ -238,10 +240,10 @@ def run_bench(
             _first_runs(subject, listed, notebook, output / "pictures", step)
             _timed_runs(subject, listed, notebook, rounds, QUICK_MOST_SECONDS if quick else MOST_SECONDS, step)
         subject.close()
-    # What this run was not asked for is no part of its report.
-    names = {subject.name for subject in subjects}
-    rows = [row for row in notebook.rows.values() if row.frame in names]
-    return _report(rows, output, notebook.conditions)
+        names.append(subject.name)
+        # What this run was not asked for is no part of its report.
+        report = _report([row for row in notebook.rows.values() if row.frame in names], output, notebook.conditions)
+    return report
 
 
 def _first_runs(

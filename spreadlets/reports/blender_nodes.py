@@ -19,7 +19,8 @@ from spreadlets.errors import InvalidFileError
 from spreadlets.exr import read_image, write_frame
 from spreadlets.reports.subjects import Subject
 
-MOST_BLUR_PX = 512.0
+BLUR_SLACK = 1.1
+"""Blender searches as far as its largest blur: it is told the frame's, with this slack."""
 TIMEOUT_S = 600.0
 
 
@@ -44,7 +45,9 @@ def run_nodes(subject: Subject) -> npt.NDArray[np.float32]:
     """
     camera = subject.camera
     height, width = subject.frame.shape
+    largest = np.abs(camera.coc_radius(subject.frame.layers[0].depth, width)).max()
     settings = {
+        "blur_max": BLUR_SLACK * float(largest) + 1.0,
         "lens": camera.focal_length_mm,
         "sensor": camera.sensor_width_mm,
         "f_stop": camera.f_number,
@@ -82,7 +85,7 @@ def main(frame: str, settings: str, output: str) -> None:
     image.image = bpy.data.images.load(frame)
     defocus, blur = tree.nodes.new("CompositorNodeDefocus"), tree.nodes.new("CompositorNodeVecBlur")
     defocus.scene, defocus.use_zbuffer, defocus.f_stop = scene, True, given["f_stop"]
-    defocus.blur_max, defocus.bokeh = MOST_BLUR_PX, "CIRCLE"
+    defocus.blur_max, defocus.bokeh = given["blur_max"], "CIRCLE"
     blur.inputs["Shutter"].default_value = given["shutter"]
     end = tree.nodes.new("NodeGroupOutput")
     for source, target in (

@@ -348,9 +348,9 @@ def beside_borders(lab: Lab, layers: int) -> float:
     (3, 6, 16),
     given="a texture seen through a pinhole, on a slanted plane",
     oracle="the texture",
-    budget=0.08,
-    limit="a sharp surface that runs through soft layers mixes with its neighbours, at most a tenth, near the borders "
-    "of layers; --softness 0 or --layers 1 does not",
+    budget=0.03,
+    limit="a sharp surface that runs through soft layers mixes with its neighbours near the borders of layers, by a "
+    "fiftieth of the contrast; with --softness 0 or --layers 1 it does not",
 )
 def sharp_between(lab: Lab, layers: int) -> float:
     """Where less than 0.3 of a pixel lies in a layer, its colour there is filled."""

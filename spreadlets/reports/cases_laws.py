@@ -70,7 +70,7 @@ def linear(lab: Lab) -> float:
     "sum of frames with texture up to the border",
     given="two textures and the same labels, tolerance 0",
     oracle="the image of the sum is the sum of the images",
-    budget=0.25,
+    budget=0.1,
     limit="beyond the border a frame goes on with the median of its colours there, which is not linear",
 )
 def linear_at_border(lab: Lab) -> float:

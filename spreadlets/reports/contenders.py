@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from runtime.render import Options, reconstruct, synthesize
 from spreadlets import api
 from spreadlets.exr import read_image
 from spreadlets.reports.blender_nodes import run_nodes
@@ -91,34 +92,42 @@ def contenders(subject: Subject, folder: Path, *, quick: bool) -> Iterator[Conte
 
 
 def _synthesis(subject: Subject, folder: Path, quick: bool) -> Iterator[Contender]:
-    def ours(frame: str, method: str, density: float = 1.0, **options: Any) -> Callable[[], Image]:
+    def ours(frame: str, density: float = 1.0, **options: Any) -> Callable[[], Image]:
         def make() -> Image:
             database = subject.database(density, folder)
-            image: Image = api.synthesize(getattr(subject, frame), subject.camera, database, method=method, **options)
+            image: Image = api.synthesize(getattr(subject, frame), subject.camera, database, **options)
             return image
+
+        return make
+
+    def dense(frame: str, method: str, layers: int | None = None) -> Callable[[], Image]:
+        def make() -> Image:
+            psfs = subject.dense_psfs(folder, by_rows=method == "dense-rows")
+            options = Options(n_layers=layers, dense_psf=psfs, filtering=method == "gather")
+            return synthesize(getattr(subject, frame), subject.camera, psfs.psfs.database, options)[0]
 
         return make
 
     def of(source: str, method: str, knob: str, make: Callable[[], Image] | None, missing: str = "") -> Contender:
         return Contender("synthesis", source, method, knob, make, missing)
 
-    yield of(ONE_FRAME, "spreadlets", DEFAULT, ours("frame", "spreadlets"))
+    yield of(ONE_FRAME, "spreadlets", DEFAULT, ours("frame"))
     for knob, options in SYNTHESIS_KNOBS:
         if not quick or knob in QUICK_KNOBS:
-            yield of(ONE_FRAME, "spreadlets", knob, ours("frame", "spreadlets", **options))
+            yield of(ONE_FRAME, "spreadlets", knob, ours("frame", **options))
     if not quick:
         for density in DENSITIES:
-            yield of(ONE_FRAME, "spreadlets", f"density {density:g}", ours("frame", "spreadlets", density))
+            yield of(ONE_FRAME, "spreadlets", f"density {density:g}", ours("frame", density))
     for method in ("dense", "dense-rows"):
         if not quick or method == "dense":
-            yield of(ONE_FRAME, method, DEFAULT, ours("frame", method))
-            yield of(ONE_FRAME, method, "layers 1", ours("frame", method, layers=1))
-    yield of(ONE_FRAME, "gather", DEFAULT, ours("frame", "gather"))
+            yield of(ONE_FRAME, method, DEFAULT, dense("frame", method))
+            yield of(ONE_FRAME, method, "layers 1", dense("frame", method, layers=1))
+    yield of(ONE_FRAME, "gather", DEFAULT, dense("frame", "gather"))
     if subject.layer_files:
-        yield of(LAYERED, "spreadlets", DEFAULT, ours("layered", "spreadlets"))
-        yield of(LAYERED, "spreadlets", "tolerance 0.016", ours("layered", "spreadlets", tolerance=0.016))
-        yield of(LAYERED, "dense", DEFAULT, ours("layered", "dense"))
-        yield of(LAYERED, "gather", DEFAULT, ours("layered", "gather"))
+        yield of(LAYERED, "spreadlets", DEFAULT, ours("layered"))
+        yield of(LAYERED, "spreadlets", "tolerance 0.016", ours("layered", tolerance=0.016))
+        yield of(LAYERED, "dense", DEFAULT, dense("layered", "dense"))
+        yield of(LAYERED, "gather", DEFAULT, dense("layered", "gather"))
     if not quick:
         missing = "" if find_spec("bpy") else "package bpy is not installed"
         yield of(ONE_FRAME, "blender nodes", DEFAULT, None if missing else lambda: run_nodes(subject), missing)
@@ -131,6 +140,9 @@ def _reconstruction(subject: Subject, folder: Path, quick: bool) -> Iterator[Con
 
         def of(method: str, knob: str, samples: SampleBuffer = samples, **options: Any) -> Contender:
             def make() -> Image:
+                if method == "dense":
+                    psfs = subject.dense_psfs(folder)
+                    return reconstruct(samples, subject.camera, psfs.psfs.database, Options(dense_psf=psfs))[0]
                 database = None if method in RECONSTRUCTION_PEERS else subject.database(1.0, folder)
                 image: Image = api.reconstruct(samples, subject.camera, database, method=method, **options)
                 return image

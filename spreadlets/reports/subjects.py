@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.api import build_database
+from spreadlets.api import DensePsfs, build_database
 from spreadlets.camera import ThinLens, read_camera
 from spreadlets.database import Database, open_database
 from spreadlets.demo import DATA, DATABASE
@@ -24,8 +24,26 @@ from spreadlets.sample_files import read_samples
 
 Image = npt.NDArray[np.float32]
 
+Traced = dict[tuple[int, int, float], npt.NDArray[np.float64]]
+
 RENDER_TIMES_KEY = "render_time_s"
 """Optional key of a camera file: seconds of the plain Monte Carlo renders by their samples per pixel."""
+
+
+@dataclass(frozen=True)
+class TracedPsfs:
+    """Full PSFs that are traced once: dense splatting is timed as if it came with them, as spreadlets do."""
+
+    psfs: DensePsfs
+    traced: Traced
+    by_rows: bool
+
+    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
+        key = cell, direction, scale
+        if key not in self.traced:
+            self.traced[key] = self.psfs(*key)
+        return self.traced[key]
 
 
 @dataclass
@@ -53,6 +71,7 @@ class Subject:
     samples_file: Path | None = None
     render_files: dict[int, Path] = field(default_factory=dict)
     databases: dict[float, Database] = field(default_factory=dict, repr=False)
+    traced: Traced = field(default_factory=dict, repr=False)
 
     @cached_property
     def camera(self) -> ThinLens:
@@ -99,11 +118,16 @@ class Subject:
             self.databases[density] = open_database(path)
         return self.databases[density]
 
+    def dense_psfs(self, folder: Path, *, by_rows: bool = False) -> TracedPsfs:
+        """Return the full PSFs of the shipped database; they share what has been traced."""
+        return TracedPsfs(DensePsfs(self.database(1.0, folder)), self.traced, by_rows)
+
     def close(self) -> None:
-        """Close the databases."""
+        """Close the databases and forget the PSFs."""
         for database in self.databases.values():
             database.close()
         self.databases.clear()
+        self.traced.clear()
 
 
 def shipped_subject() -> Subject:
