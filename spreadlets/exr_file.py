@@ -21,7 +21,7 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.errors import InvalidFileError
-from spreadlets.exr_chunks import deep_sample_bytes
+from spreadlets.exr_chunks import check_structure, deep_sample_bytes
 from spreadlets.frame import FloatArray
 
 PathLike = str | os.PathLike[str]
@@ -134,6 +134,7 @@ def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
     if not os.path.isfile(path):
         raise InvalidFileError(f"{path}: there is no such file")
     file, _ = _open(path, header_only=True)
+    check_structure(path)
     headers = [part.header for part in file.parts]
     try:
         for header in headers:
