@@ -4,8 +4,8 @@
     python benchmarks/build_scaling.py measure        times of the units of 40 cells of `combined` and of `physicallens`
     python benchmarks/build_scaling.py simulate       from those times: list scheduling on up to 256 workers
 
-Times of units are processor times, so that other programs on the machine do not count. `measure` takes some ten minutes
-(`--every 1` times all of `combined`, in half an hour); what it found is kept in benchmarks/results/build_times.npz. Tables
+Times of units are processor times, so that other programs on the machine do not count. `measure` takes five minutes
+(`--every 1` times all of `combined`, in six more); what it found is kept in benchmarks/results/build_times.npz. Tables
 are written to benchmarks/results/build_scaling_*.txt.
 """
 
@@ -99,8 +99,8 @@ def simulate() -> None:
         cells = np.bincount(np.unique(cell, return_inverse=True)[1], seconds)
         shuffled = np.random.default_rng(0).permutation(cells)
         lines += [
-            f"combined, {n_cells} of 400 cells measured: {len(seconds)} units, {total:.0f} s of one processor, longest unit "
-            f"{longest:.2f} s, longest cell {cells.max():.1f} s",
+            f"combined, {n_cells} of 400 cells measured: {len(seconds)} units, {total:.0f} s of one processor, longest "
+            f"unit {longest:.2f} s, longest cell {cells.max():.1f} s",
             f"{'workers':>8}{'time s':>9}{'efficiency':>12}{'bound':>8}{'whole cells':>13}{'any order':>11}",
         ]
         for workers in WORKERS:

@@ -1,12 +1,12 @@
-"""Builds that are cut short: killed at random moments, on a full disk, in a read-only folder, by a dead worker, in pairs.
+"""Builds cut short: killed at random moments, on a full disk, in a read-only folder, by a dead worker, in pairs.
 
 After every one of them the same command must go on, and give a database that equals an uninterrupted one, dataset by
 dataset. A child process builds; this one kills it (SIGKILL), 200 times by default, and now and then lets it end.
 
-    python benchmarks/interrupted_builds.py [--kills 200] [--jobs 2] [--seed 0]
+    python benchmarks/interrupted_builds.py [--kills 200] [--jobs 1] [--seed 0]
 
-Full disk and read-only folder need the right to mount a small file system, and are left out without it. The results go to
-benchmarks/results/interrupted_builds.txt.
+Full disk and read-only folder need the right to mount a small file system, and are left out without it. The results go
+to benchmarks/results/interrupted_builds.txt.
 """
 
 import argparse
@@ -69,7 +69,9 @@ def same(one: Path, other: Path) -> bool:
             return False
         provenance = [json.loads(file["provenance"][...].tobytes()) | {"build_s": 0} for file in (a, b)]
         tables = all(np.array_equal(a[name], b[name]) for name in a if name != "provenance")
-        return tables and provenance[0] == provenance[1] and all(np.array_equal(a.attrs[n], b.attrs[n]) for n in a.attrs)
+        return (
+            tables and provenance[0] == provenance[1] and all(np.array_equal(a.attrs[n], b.attrs[n]) for n in a.attrs)
+        )
 
 
 def n_parts(path: Path) -> int:
@@ -121,7 +123,9 @@ def small_disk(folder: Path, options: str) -> Iterator[Path | None]:
     """Mount a small file system in memory; None if that is not allowed."""
     place = folder / "disk"
     place.mkdir()
-    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)], capture_output=True, check=False)
+    mount = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)], capture_output=True, check=False
+    )
     try:
         yield place if mount.returncode == 0 else None
     finally:
@@ -198,7 +202,9 @@ def dead_worker(folder: Path, reference: Path) -> list[str]:
     assert process.stdout is not None
     while process.stdout.readline().strip() != "5":
         pass
-    workers = [pid for pid in children(process.pid) if "resource_tracker" not in Path(f"/proc/{pid}/cmdline").read_text()]
+    workers = [
+        pid for pid in children(process.pid) if "resource_tracker" not in Path(f"/proc/{pid}/cmdline").read_text()
+    ]
     os.kill(workers[0], signal.SIGKILL)
     said = process.communicate()[1].strip()
     kept = n_parts(path)

@@ -1,6 +1,6 @@
 """Mutated files through every reader: each must end in a value that the file says, or in one of our errors.
 
-Files of each kind are written, then damaged: bits flipped, numbers replaced, pieces cut out, doubled, moved or truncated;
+Files of each kind are written, then damaged: bits flipped, numbers replaced, pieces cut out, doubled, moved, truncated;
 databases also by valid writes of bad values. They are read in processes of their own with bounds checks in all kernels
 (NUMBA_BOUNDSCHECK) and limits of 32 MiB; what is read goes on into synthesis. Counted are
 
@@ -54,7 +54,23 @@ BATCH = 1000
 OUTCOMES = ("read", "refused", "wrong", "foreign", "memory", "crash", "hang")
 
 INTEGERS = (0, 1, -1, 2, 255, 256, 65535, 65536, 2**31 - 1, -(2**31), 2**32 - 1, 2**40, 2**62, -(2**63))
-WORDS = ("nan", "inf", "-inf", "1e999", "-1", "0", "9" * 400, "", "null", "true", "[" * 5000, '"x"', "1e-320", "stop", "\0")
+WORDS = (
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "-1",
+    "0",
+    "9" * 400,
+    "",
+    "null",
+    "true",
+    "[" * 5000,
+    '"x"',
+    "1e-320",
+    "stop",
+    "\0",
+)
 
 
 # --- Damage --------------------------------------------------------------------------------------------------------
@@ -144,7 +160,9 @@ def spoil_database(path: Path, rng: np.random.Generator) -> None:
             text = json.dumps({"seed": 0, "x": "y" * int(rng.choice([1, 10**5, 10**7]))}).encode()
             del file["provenance"]
             data = np.frombuffer(text, np.uint8)
-            file.create_dataset("provenance", data=data, compression="gzip", fletcher32=True, chunks=(min(len(data), 8192),))
+            file.create_dataset(
+                "provenance", data=data, compression="gzip", fletcher32=True, chunks=(min(len(data), 8192),)
+            )
 
 
 # --- Samples of every kind, and independent readers ------------------------------------------------------------------
@@ -169,7 +187,9 @@ def write_samples_of_every_kind(folder: Path) -> None:
         old.attrs["provenance"] = new["provenance"][...].tobytes().decode()
         for name in set(new) - {"provenance"}:
             points = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-            old.create_dataset(name, data=new[name][...], **(points if name in ("offset_rc", "value", "statistics") else {}))
+            old.create_dataset(
+                name, data=new[name][...], **(points if name in ("offset_rc", "value", "statistics") else {})
+            )
     shape = 16, 24
     radiance = rng.random((*shape, 4)).astype(np.float32)
     radiance[..., :3] *= radiance[..., 3:]
@@ -327,7 +347,7 @@ def read_samples_file(path: Path, original: Path) -> None:
 
 
 def compare_flat(path: Path, original: Path, parts: list) -> None:
-    """Compare with an independent reader; where that has lost the thread, and the library found it, with the original."""
+    """Compare with an independent reader; where that has lost the thread and the library found it, the original."""
     try:
         compare_planes(parts, flat_planes(path))
     except (ValueError, EOFError, OSError, KeyError, IndexError, zlib.error, Wrong):
@@ -508,7 +528,9 @@ def watch(kind: str, folder: Path, first: int, count: int, seed: int) -> tuple[i
     command = [sys.executable, __file__, "--child", kind, "--folder", str(folder)]
     command += ["--first", str(first), "--files", str(count), "--seed", str(seed)]
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder / "cache")}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, cwd=folder, stderr=open(folder / "log", "a"))
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, env=environment, cwd=folder, stderr=open(folder / "log", "a")
+    )
     assert process.stdout is not None
     results, number, deadline = [], first - 1, time.monotonic() + 15 * HANG_S
     while True:
@@ -526,7 +548,9 @@ def watch(kind: str, folder: Path, first: int, count: int, seed: int) -> tuple[i
             results.append((number, said["outcome"]))
     status = process.wait()
     if number < first and status:
-        raise SystemExit(f"{kind}: the reading process failed before the first file:\n" + (folder / "log").read_text()[-2000:])
+        raise SystemExit(
+            f"{kind}: the reading process failed before the first file:\n" + (folder / "log").read_text()[-2000:]
+        )
     return number, results, "crash" if status else ""
 
 

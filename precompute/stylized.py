@@ -130,7 +130,9 @@ def decode(stored: Mapping[str, Any]) -> FloatArray:
     """Return the light (h, w, 3) that `encode` stored."""
     size = math.prod(stored["shape"]) * 2
     if not 0 < size <= 2 * MAX_SIDE * MAX_SIDE * 3:
-        raise InvalidParameterError(f"the image of the PSF has the shape {stored['shape']}; its sides end at {MAX_SIDE}")
+        raise InvalidParameterError(
+            f"the image of the PSF has the shape {stored['shape']}; its sides end at {MAX_SIDE}"
+        )
     data = zlib.decompressobj().decompress(base64.b64decode(stored["u16"]), size)
     return np.frombuffer(data, "<u2").reshape(stored["shape"]) / 65535.0
 

@@ -216,7 +216,7 @@ def _least_stored(header: Mapping[str, Any], data: Window) -> int:
     if expansion is None:
         return 0
     values = sum(data.width * data.height // (each.xSampling * each.ySampling) for each in header["channels"])
-    return values * LEAST_BYTES // expansion
+    return int(values) * LEAST_BYTES // expansion
 
 
 def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:
