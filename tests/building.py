@@ -21,3 +21,17 @@ def assert_same(one, other):
     assert p == q and a.keys() == b.keys()
     for name in a:
         assert np.array_equal(a[name], b[name]), name
+
+
+class Stop(Exception):
+    """What `stop_after` raises."""
+
+
+def stop_after(cells):
+    """Return a listener that breaks a build off when so many cells are finished."""
+
+    def report(done, total, left_s):
+        if done == cells:
+            raise Stop
+
+    return report

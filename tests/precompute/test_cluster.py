@@ -1,14 +1,13 @@
 """Builds on the workers of a Dask scheduler."""
 
 import json
-import os
 import subprocess
 import sys
 import time
 
 import numba
 import pytest
-from building import CASE, assert_same
+from building import CASE, Stop, assert_same, stop_after
 
 from precompute import workers
 from precompute.build import build_database
@@ -30,6 +29,7 @@ def dask(*arguments, folder):
 def cluster(tmp_path, monkeypatch):
     """Give the address of a scheduler, its process, and those of two workers."""
     monkeypatch.setattr(workers, "CONNECT_S", START_S)
+    monkeypatch.setattr(workers, "RECONNECT_S", 1.0)
     scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", "0", folder=tmp_path)
     processes = [scheduler]
     try:
@@ -44,20 +44,28 @@ def cluster(tmp_path, monkeypatch):
             process.wait()
 
 
+def lose(process, cells):
+    """Return a listener that kills a process when so many cells are finished."""
+
+    def report(done, total, left_s):
+        if done == cells:
+            process.kill()
+            process.wait()
+
+    return report
+
+
 def test_a_cluster_builds_the_same_database_through_the_loss_of_a_worker_and_of_the_scheduler(cluster, tmp_path):
     address, (scheduler, first, _) = cluster
-    case = CASE | {"samples": 28}
-    build_database("combined", tmp_path / "here.h5", jobs=1, **case)
-
-    def lose(process):
-        return lambda done, total, left_s: process.kill() if done == 1 else None
-
-    build_database("combined", tmp_path / "there.h5", scheduler=address, progress=lose(first), **case)
+    build_database("combined", tmp_path / "here.h5", jobs=1, **CASE)
+    build_database("combined", tmp_path / "there.h5", scheduler=address, progress=lose(first, 1), **CASE)
     assert_same(tmp_path / "there.h5", tmp_path / "here.h5")
+    with pytest.raises(Stop):
+        build_database("combined", tmp_path / "lost.h5", jobs=1, progress=stop_after(5), **CASE)
     with pytest.raises(BuildStoppedError, match="same command goes on from there"):
-        build_database("combined", tmp_path / "lost.h5", scheduler=address, progress=lose(scheduler), **case)
-    assert len(os.listdir(tmp_path / "lost.h5.parts")) > 2
-    build_database("combined", tmp_path / "lost.h5", jobs=1, **case)
+        build_database("combined", tmp_path / "lost.h5", scheduler=address, progress=lose(scheduler, 5), **CASE)
+    assert len(list((tmp_path / "lost.h5.parts").glob("*.part"))) == 5
+    build_database("combined", tmp_path / "lost.h5", jobs=1, **CASE)
     assert_same(tmp_path / "lost.h5", tmp_path / "here.h5")
 
 
