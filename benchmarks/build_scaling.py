@@ -1,11 +1,12 @@
 """How builds scale: efficiency with 1, 2 and 4 processes, a simulation up to 256 workers, times of two large databases.
 
     python benchmarks/build_scaling.py processes      a small build with 1, 2 and 4 processes in turn, several times
-    python benchmarks/build_scaling.py measure        times of every unit of `combined`, and of 40 cells of `physicallens`
+    python benchmarks/build_scaling.py measure        times of the units of 40 cells of `combined` and of `physicallens`
     python benchmarks/build_scaling.py simulate       from those times: list scheduling on up to 256 workers
 
-Times of units are processor times, so that other programs on the machine do not count. `measure` takes an hour; what it
-found is kept in benchmarks/results/build_times.npz. Tables are written to benchmarks/results/build_scaling_*.txt.
+Times of units are processor times, so that other programs on the machine do not count. `measure` takes five minutes
+(`--every 1` times all of `combined`, in six more); what it found is kept in benchmarks/results/build_times.npz. Tables
+are written to benchmarks/results/build_scaling_*.txt.
 """
 
 import argparse
@@ -43,26 +44,33 @@ def lens_grid() -> PsfGrid:
     return model_grid("physicallens", **(LENS | {"camera": read_camera(ROOT / LENS["camera"])}))
 
 
-def timed(tasks: list[CellTask], label: str) -> np.ndarray:
-    """Return cell, expected cost and processor time of every unit of a division for 256 workers, (n, 3)."""
-    units = plan_units(tasks, max(WORKERS))
+def timed(tasks: list[CellTask], label: str, share: float = 1.0) -> np.ndarray:
+    """Return cell, expected cost and processor time of every unit of a division for 256 workers, (n, 3).
+
+    The tasks may be a share of all: then the units are as small as if all were there.
+    """
+    units = plan_units(tasks, max(1, round(share * max(WORKERS))))
     build_unit(units[-1])  # compiles
     rows = []
     for count, unit in enumerate(units, 1):
         rows.append((unit.cell, unit.cost, build_unit(unit).seconds))
         if count % 100 == 0:
             print(f"{label}: {count} of {len(units)} units", flush=True)
+    print(f"{label}: all {len(units)} units", flush=True)
     return np.array(rows)
 
 
-def measure(which: str) -> None:
+def measure(which: str, every: int) -> None:
     found = dict(np.load(TIMES)) if TIMES.exists() else {}
     if which in ("all", "physicallens"):
         grid = lens_grid()
         cells = np.linspace(0, grid.n_cells - 1, N_LENS_CELLS).astype(int)
         found["physicallens"] = timed(tasks_of(grid, cells), "physicallens").astype(np.float32)
     if which in ("all", "combined"):
-        found["combined"] = timed(tasks_of(model_grid("combined")), "combined").astype(np.float32)
+        grid = model_grid("combined")
+        cells = np.arange(every // 2, grid.n_cells, every)
+        share = 1.0 / every
+        found["combined"] = timed(tasks_of(grid, cells), "combined", share).astype(np.float32)
     np.savez_compressed(TIMES, **found)
 
 
@@ -81,13 +89,18 @@ def simulate() -> None:
     found = np.load(TIMES)
     lines = []
     if "combined" in found:
-        cell, _, seconds = found["combined"].astype(float).T
+        cell, cost, seconds = found["combined"].astype(float).T
+        n_cells = len(np.unique(cell))
+        times = round(model_grid("combined").n_cells / n_cells)  # each measured cell stands for so many
+        order = np.argsort(-np.tile(cost, times), kind="stable")
+        seconds = np.tile(seconds, times)[order]
+        cell = (np.tile(cell, times) + 1000 * np.repeat(np.arange(times), len(cell)))[order]
         total, longest = seconds.sum(), seconds.max()
-        cells = np.bincount(cell.astype(int), seconds)
+        cells = np.bincount(np.unique(cell, return_inverse=True)[1], seconds)
         shuffled = np.random.default_rng(0).permutation(cells)
         lines += [
-            f"combined, 400 cells: {len(seconds)} units, {total:.0f} s of one processor, longest unit {longest:.2f} s, "
-            f"longest cell {cells.max():.1f} s",
+            f"combined, {n_cells} of 400 cells measured: {len(seconds)} units, {total:.0f} s of one processor, longest "
+            f"unit {longest:.2f} s, longest cell {cells.max():.1f} s",
             f"{'workers':>8}{'time s':>9}{'efficiency':>12}{'bound':>8}{'whole cells':>13}{'any order':>11}",
         ]
         for workers in WORKERS:
@@ -156,12 +169,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("processes", "measure", "simulate"))
     parser.add_argument("--only", choices=("all", "combined", "physicallens"), default="all", help="of `measure`")
+    parser.add_argument("--every", type=int, default=10, help="of `measure`: the cells of `combined` that are timed")
     parser.add_argument("--repetitions", type=int, default=5, help="of `processes`")
     arguments = parser.parse_args()
     if arguments.what == "processes":
         processes(arguments.repetitions)
     elif arguments.what == "measure":
-        measure(arguments.only)
+        measure(arguments.only, arguments.every)
     else:
         simulate()
 

@@ -23,7 +23,7 @@ from precompute.extension import Kept, check_extension, extended_grid
 from precompute.parts import LOG_NAME, Parts, open_parts
 from precompute.progress import BuildProgress, Progress
 from precompute.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
-from precompute.workers import open_workers
+from precompute.workers import AGAIN, open_workers
 from spreadlets.database_file import CellRecord, absent_record, write_database
 from spreadlets.errors import BuildStoppedError, InvalidParameterError
 from spreadlets.psf_model import PsfGrid, get_model
@@ -130,7 +130,10 @@ def build_database(
         provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
         provenance["build_s"] = time.perf_counter() - begin + kept.build_s
         cells = (_cell(task, parts, kept) for task in tasks)
-        write_database(target, grid, cells, provenance, seed_cell if extend else None)
+        try:
+            write_database(target, grid, cells, provenance, seed_cell if extend else None)
+        except InvalidParameterError as error:
+            raise BuildStoppedError(f"{error}; {AGAIN}") from error
         shown.ended(target)
         parts.remove()
 

@@ -98,11 +98,13 @@ def _connected(address: str) -> Iterator[Any]:
     try:
         from dask import config
         from dask.distributed import Client
+
+        connect: Any = Client  # it has no types
     except ImportError as error:
         raise InvalidParameterError("a cluster needs Dask: install spreadlets[cluster]") from error
     with _quiet("distributed", "tornado"), config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
         try:
-            client = Client(address, timeout=CONNECT_S, set_as_default=False)
+            client = connect(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise BuildStoppedError(f"no Dask scheduler answers at {address!r}: {error}") from error
         try:

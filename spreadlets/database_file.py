@@ -128,8 +128,9 @@ def write_database(
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
         os.replace(temporary, target)
-    except OSError as error:
-        raise InvalidParameterError(f"cannot write the database {str(target)!r}: {error}") from error
+    except (OSError, RuntimeError) as error:  # HDF5 says it so if there is no room to close the file
+        reason = "No space left on device" if "No space left" in str(error) else error
+        raise InvalidParameterError(f"cannot write the database {str(target)!r}: {reason}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

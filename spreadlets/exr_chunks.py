@@ -59,6 +59,28 @@ class _PartHeader:
     types: Mapping[str, np.dtype[Any]]
 
 
+def check_structure(path: str | os.PathLike[str]) -> None:
+    """Check that the headers of a file are well-formed: the library passes over much that is not, and guesses.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file that the library has opened.
+
+    Raises
+    ------
+    InvalidFileError
+        If a header is malformed.
+    """
+    try:
+        with open(path, "rb") as file:
+            magic, version = struct.unpack("<iI", _exactly(file, 8))
+            if magic != MAGIC or not _headers(file, bool(version & MULTI_PART)):
+                raise ValueError("not an OpenEXR file")
+    except _MALFORMED as error:
+        raise InvalidFileError(f"{path}: its header is malformed ({error})") from None
+
+
 def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
     """Return how many bytes the unpacked samples of all deep scanlines take.
 

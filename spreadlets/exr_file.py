@@ -21,7 +21,7 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.errors import InvalidFileError
-from spreadlets.exr_chunks import deep_sample_bytes
+from spreadlets.exr_chunks import check_structure, deep_sample_bytes
 from spreadlets.frame import FloatArray
 
 PathLike = str | os.PathLike[str]
@@ -134,6 +134,7 @@ def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
     if not os.path.isfile(path):
         raise InvalidFileError(f"{path}: there is no such file")
     file, _ = _open(path, header_only=True)
+    check_structure(path)
     headers = [part.header for part in file.parts]
     try:
         for header in headers:
@@ -215,7 +216,7 @@ def _least_stored(header: Mapping[str, Any], data: Window) -> int:
     if expansion is None:
         return 0
     values = sum(data.width * data.height // (each.xSampling * each.ySampling) for each in header["channels"])
-    return values * LEAST_BYTES // expansion
+    return int(values) * LEAST_BYTES // expansion
 
 
 def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:

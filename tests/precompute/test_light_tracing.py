@@ -4,7 +4,7 @@ import pytest
 import reference
 
 from precompute._tracing_kernels import deposit_segments
-from precompute.light_tracing import trace_psf
+from precompute.light_tracing import footprint, trace_psf
 from precompute.line_sample import lens_chords, tent
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_similarity
@@ -229,3 +229,17 @@ def test_psf_midway_between_two_directions_stays_similar(coordinate):
         pair = [on_canvas(psf, tuple(2 * half + 1)) for psf in (wanted, stored)]
         # A third of a pixel between neighbours is what brings the sharpest lines here; steps of 0.5 px leave 0.94.
         assert psf_similarity(*pair) > 0.965
+
+
+def test_a_psf_too_wide_to_be_traced_is_refused():
+    model = get_model("simplelens", max_coc=1e5)
+    with pytest.raises(InvalidParameterError, match="reaches .* at most 2048 px"):
+        trace_psf(model, [[9e4, 1e5]])
+
+
+def test_the_footprint_is_about_as_large_as_the_psf():
+    model = get_model("combined")
+    for box in ([[10.0, 11.0], [0.0, 2.0]], [[30.0, 32.0], [60.0, 64.0]], [[0.0, 1.0], [80.0, 82.0]]):
+        pixels = footprint(model, box, direction=0.0, direction_half_width=0.0, side=1)
+        psf = trace_psf(model, box, rays=20_000)
+        assert 0.5 * psf.size < pixels < 2.0 * psf.size

@@ -407,3 +407,11 @@ def test_darkness_names_the_surface_and_what_it_does():
 def test_impossible_camera_is_refused(options, message):
     with pytest.raises(InvalidParameterError, match=message):
         model_settings("physicallens", options)
+
+
+def test_a_prescription_too_large_or_no_file_at_all_is_refused(tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"\n" * (1 << 17))
+    with pytest.raises(InvalidFileError, match="larger than 65536 bytes"):
+        read_prescription(str(tmp_path / "a.txt"))
+    with pytest.raises(InvalidFileError, match="no lens prescription"):
+        read_prescription(str(tmp_path))

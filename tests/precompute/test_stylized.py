@@ -1,3 +1,6 @@
+import base64
+import zlib
+
 import matplotlib.image
 import numba
 import numpy as np
@@ -7,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from precompute.build import build_database, model_settings
 from precompute.light_tracing import trace_psf
 from precompute.sparsify import sparsify
-from precompute.stylized import MAX_SIDE, decode
+from precompute.stylized import MAX_SIDE, decode, read_settings
 from spreadlets.database import open_database
 from spreadlets.errors import InvalidFileError, InvalidParameterError
 from spreadlets.psf_model import get_model
@@ -129,3 +132,18 @@ def test_unusable_images_are_refused(tmp_path):
 def test_offset_out_of_range_is_refused(letter_path):
     with pytest.raises(InvalidParameterError, match="colour_offset is 0.7: allowed are -0.5 to 0.5"):
         model_settings("stylized", {"image": letter_path, "colour_offset": 0.7})
+
+
+def test_an_image_too_large_is_refused_before_it_is_unpacked(tmp_path):
+    path = tmp_path / "large.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR" + (100_000).to_bytes(4, "big") * 2 + bytes(9))
+    with pytest.raises(InvalidFileError, match="has 100000 x 100000 px; at most"):
+        read_settings(image=str(path))
+
+
+def test_an_image_of_a_database_is_not_unpacked_beyond_its_shape(letter_path):
+    stored = read_settings(image=str(letter_path))["image"]
+    with pytest.raises(InvalidParameterError, match="its sides end at"):
+        decode(stored | {"shape": [100_000, 100_000, 3]})
+    bomb = base64.b64encode(zlib.compress(bytes(1 << 24), 9)).decode()
+    assert decode({"shape": [2, 2, 3], "u16": bomb}).shape == (2, 2, 3)

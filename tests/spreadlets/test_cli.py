@@ -381,3 +381,38 @@ def test_a_warning_goes_to_standard_error(run, scene, small_combined_path):
     status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
     assert status == 0 and json.loads(out)
     assert err.startswith("warning: ") and "beyond the database's range" in err
+
+
+def test_a_database_is_extended_and_verified(run, tmp_path):
+    path = tmp_path / "tiny.h5"
+    arguments = "build", "simplelens", "-o", path, "--jobs", 1, "--json"
+    assert run(*arguments, "--samples", 6, "--max-coc", 5)[0] == 0
+    status, out, _ = run(*arguments, "--extend", "--max-coc", 6.5, "--log", tmp_path / "log.txt")
+    assert status == 0 and json.loads(out)["parameters"]["maximum"]["coc"] >= 6.5
+    assert "1 cells, 0 of them finished before" in (tmp_path / "log.txt").read_text()
+    status, out, err = run("info", path, "--verify", "--jobs", 1, "--json")
+    assert (status, err) == (0, "") and json.loads(out)["verified"]["cells"] == json.loads(out)["n_cells"]
+    content = path.read_bytes()
+    path.write_bytes(content[:-1000] + bytes(100) + content[-900:])
+    status, out, err = run("info", path, "--verify", "--jobs", 1)
+    assert status == 2 and out == "" and err.startswith("error: ")
+
+
+def test_verify_is_for_databases_and_jobs_for_verify(run, scene, small_combined_path):
+    status, _, err = run("info", scene / "frame.exr", "--verify")
+    assert status == 2 and "--verify is for databases" in err
+    status, _, err = run("info", small_combined_path, "--jobs", 2)
+    assert status == 2 and "--jobs is for --verify" in err
+
+
+def test_a_build_that_cannot_go_on_fails_with_one_line(run, tmp_path, monkeypatch):
+    from precompute.parts import Parts
+    from spreadlets.errors import BuildStoppedError
+
+    def refuse(self, task, records):
+        raise BuildStoppedError("no room")
+
+    monkeypatch.setattr(Parts, "store", refuse)
+    status, out, err = run("build", "simplelens", "-o", tmp_path / "a.h5", "--samples", 3, "--max-coc", 3, "--jobs", 1)
+    assert status == 1 and out == "" and err.splitlines()[-1] == "stopped: no room"
+    assert list(tmp_path.iterdir()) == []

@@ -1,8 +1,10 @@
+import zlib
+
 import h5py
 import numpy as np
 import pytest
 
-from spreadlets import database
+from spreadlets import database, database_file
 from spreadlets.database import CellRecord, open_database, write_database
 from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
 from spreadlets.psf_model import PsfGrid, get_model
@@ -127,6 +129,104 @@ def unmark(file):
     del file.attrs["format"]
 
 
+def link_outside(file):
+    del file["value"]
+    file["value"] = h5py.ExternalLink("other.h5", "/value")
+
+
+def link_softly(file):
+    file.move("value", "hidden")
+    file["value"] = h5py.SoftLink("/hidden")
+
+
+def store_outside(file):
+    shape, dtype = file["direct"].shape, file["direct"].dtype
+    del file["direct"]
+    file.create_dataset("direct", shape, dtype, external=[("/etc/hostname", 0, h5py.h5f.UNLIMITED)])
+
+
+def make_virtual(file):
+    layout = h5py.VirtualLayout(file["direct"].shape, np.uint8)
+    layout[...] = h5py.VirtualSource("other.h5", "direct", file["direct"].shape)
+    del file["direct"]
+    file.create_virtual_dataset("direct", layout)
+
+
+def rewrite(file, name, data, **options):
+    del file[name]
+    file.create_dataset(name, data=data, **({"fletcher32": True, "chunks": True} | options))
+
+
+def leave_out_checksums(file):
+    rewrite(file, "direction", file["direction"][...], fletcher32=False)
+
+
+def store_text(file):
+    rewrite(file, "direct", np.array(["a"], object), dtype=h5py.string_dtype(), fletcher32=False)
+
+
+def add_a_group(file):
+    file.create_group("more")
+
+
+def need_a_plugin(file):
+    table = file["direct"][...]
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_chunk(table.shape)
+    plist.set_filter(32000, h5py.h5z.FLAG_OPTIONAL, ())
+    plist.set_fletcher32()
+    del file["direct"]
+    h5py.h5d.create(file.id, b"direct", h5py.h5t.NATIVE_UINT8, h5py.h5s.create_simple(table.shape), plist)
+
+
+def claim_much(file):
+    del file["value"]
+    file.create_dataset("value", (10**8, 1), np.float32, chunks=(8192, 1), compression="gzip", fletcher32=True)
+
+
+def make_chunks_large(file):
+    rewrite(file, "direct", np.zeros(1 << 20, np.uint8), chunks=(1 << 20,))
+
+
+def write_a_long_text(file):
+    rewrite(file, "provenance", np.zeros(1 << 23, np.uint8), chunks=(8192,))
+
+
+def attach_much(file):
+    for number in range(40):
+        file.attrs[f"more{number}"] = 1
+
+
+def attach_a_reference(file):
+    file.attrs["more"] = file["value"].ref
+
+
+def grow_shape(file):
+    file.attrs["shape"] = [10**6, 10**6]
+
+
+def widen_range(file):
+    file.attrs["maximum"] = [1e300, 12.0]
+
+
+def narrow_step(file):
+    file.attrs["direction_step_px"] = 1e-9
+
+
+def spoil_direct(file):
+    file["direct"][2] = 7
+
+
+def turn_directions(file):
+    file["direction"][...] = 0.1
+
+
+def lengthen_one(file):
+    starts = file["point_start"][...]
+    starts[1:] += 1 << 21
+    file["point_start"][...] = starts
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -138,6 +238,25 @@ def unmark(file):
         (rename_model, "telescope"),
         (spoil_provenance, "malformed"),
         (unmark, "not a spreadlet database"),
+        (link_outside, "'value' is a link to another place or file"),
+        (link_softly, "link to another place|which no database has"),
+        (store_outside, "'direct' keeps its values in another file"),
+        (make_virtual, "'direct' keeps its values in another file"),
+        (leave_out_checksums, "'direction' has no checksums"),
+        (store_text, "a database holds numbers only"),
+        (add_a_group, "holds 'more', which no database has"),
+        (need_a_plugin, "needs the filters .*32000"),
+        (claim_much, "claims 400000000 bytes, but stores only 0"),
+        (make_chunks_large, "has chunks of more than"),
+        (write_a_long_text, "is not a text of up to|claims"),
+        (attach_much, "more than 32 attributes"),
+        (attach_a_reference, "'more' refers to something else|is not a number or text"),
+        (grow_shape, "is too large"),
+        (widen_range, "the axes end at"),
+        (narrow_step, "directions of a cell"),
+        (spoil_direct, "'direct' holds 7"),
+        (turn_directions, "directions stored for the cells"),
+        (lengthen_one, "whose steps are"),
     ],
 )
 def test_a_damaged_file_is_refused_with_the_reason(path, damage, message):
@@ -145,6 +264,68 @@ def test_a_damaged_file_is_refused_with_the_reason(path, damage, message):
         damage(file)
     with pytest.raises(InvalidDatabaseError, match=message):
         open_database(path)
+
+
+@pytest.mark.parametrize("name", ["value", "offset_rc", "statistics", "direction", "cell_start", "provenance"])
+def test_a_flipped_bit_is_found_by_the_checksums(path, name):
+    with h5py.File(path) as file:
+        chunk = file[name].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InvalidDatabaseError), open_database(path) as opened:
+        opened.statistics()
+        opened.cell(0)
+
+
+def test_a_flipped_bit_in_the_bookkeeping_is_found(path):
+    content = path.read_bytes()
+    at = content.index(np.float64(12.0).tobytes())  # the end of the second axis
+    path.write_bytes(content[:at] + b"\x01" + content[at + 1 :])
+    with pytest.raises(InvalidDatabaseError):
+        open_database(path)
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_should_is_not_unpacked(path):
+    with h5py.File(path, "a") as file:
+        shape = file["value"].shape
+        del file["value"]
+        dataset = file.create_dataset("value", shape, np.float32, chunks=shape, compression="gzip", fletcher32=True)
+        dataset.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 26), 1)[: 1 << 18] + bytes(4))
+    with open_database(path) as opened, pytest.raises(InvalidDatabaseError, match="a chunk of 'value' is larger"):
+        opened.cell(0)
+
+
+def test_a_database_of_the_first_version_is_read(grid, path, tmp_path):
+    with h5py.File(path) as new, h5py.File(tmp_path / "old.h5", "w") as old:
+        for name, value in new.attrs.items():
+            old.attrs[name] = value.decode() if isinstance(value, bytes) else value
+        old.attrs["version"] = 1
+        old.attrs["provenance"] = new["provenance"][...].tobytes().decode()
+        for name in set(new) - {"provenance"}:
+            old[name] = new[name][...]
+    with open_database(tmp_path / "old.h5") as opened, open_database(path) as expected:
+        assert opened.grid == grid and opened.provenance == expected.provenance
+        assert np.array_equal(opened.cell(5).value, expected.cell(5).value)
+
+
+def test_large_databases_are_written_piece_by_piece(grid, tmp_path, monkeypatch):
+    monkeypatch.setattr(database_file, "WRITE_POINTS", 20)
+    taken = []
+    cells = (taken.append(number) or cell for number, cell in enumerate(make_cells(grid)))
+    write_database(tmp_path / "b.h5", grid, cells, {"seed": 7})
+    assert taken == list(range(28))
+    with open_database(tmp_path / "b.h5") as opened:
+        for number, records in enumerate(make_cells(grid)):
+            for direction, record in enumerate(records):
+                assert np.array_equal(opened.cell(number, direction).offset_rc, record.spreadlet.offset_rc)
+
+
+def test_a_value_beyond_any_laplacian_is_refused(path):
+    with h5py.File(path, "a") as file:
+        file["value"][0] = 1e6
+    with open_database(path) as opened, pytest.raises(InvalidDatabaseError, match="a value above 1000"):
+        opened.cell(0)
 
 
 def test_a_value_that_is_not_finite_never_leaves_the_file(path):

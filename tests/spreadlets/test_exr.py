@@ -6,6 +6,7 @@ import pytest
 
 from spreadlets import exr, exr_file
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.exr_chunks import check_structure
 from spreadlets.frame import Frame
 from spreadlets.metrics import display_encode
 
@@ -406,3 +407,25 @@ def test_a_small_file_that_promises_a_huge_image_is_refused(path):
     path.write_bytes(uncompressed_file({"R": 1}, 6, 4, data_window=(0, 0, 2**20, 2**20)))
     with pytest.raises(InvalidFileError):
         exr.read_image(path)
+
+
+def test_a_file_too_short_for_what_it_promises_is_refused(tmp_path):
+    exr.write_image(tmp_path / "a.exr", np.zeros((64, 64, 3), np.float32))
+    content = bytearray((tmp_path / "a.exr").read_bytes())
+    for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
+        at = content.index(name) + len(name) + 4
+        content[at : at + 16] = np.array([0, 0, 9_999, 9_999], "<i4").tobytes()
+    (tmp_path / "a.exr").write_bytes(content)
+    with pytest.raises(InvalidFileError, match="too short for the 300000000 values"):
+        exr.read_image(tmp_path / "a.exr")
+
+
+def test_a_malformed_header_is_refused_where_the_library_would_guess(tmp_path):
+    exr.write_image(tmp_path / "a.exr", np.zeros((8, 8, 3), np.float32), metadata={"note": "abc"})
+    content = (tmp_path / "a.exr").read_bytes()
+    at = content.index(b"note\0string\0") + len(b"note\0string\0")
+    (tmp_path / "a.exr").write_bytes(content[:at] + b"\xff\xff\xff\x7f" + content[at + 4 :])
+    with pytest.raises(InvalidFileError):
+        exr.read_image(tmp_path / "a.exr")
+    with pytest.raises(InvalidFileError, match="its header is malformed"):
+        check_structure(tmp_path / "a.exr")

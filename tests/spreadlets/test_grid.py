@@ -140,3 +140,8 @@ def test_wrong_number_of_coordinates_is_refused():
 def test_storage_grows_slower_than_a_regular_grid():
     counts = [NestedGrid((side, side)).n_cells for side in (16, 64)]
     assert math.log(counts[1] / counts[0], 4) < 1.6
+
+
+def test_a_grid_too_large_for_its_tables_is_refused():
+    with pytest.raises(InvalidParameterError, match="is too large: at most"):
+        NestedGrid((10**6, 10**6))
