@@ -26,6 +26,8 @@ from runtime.sheared.samples import Samples
 from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
 from spreadlets.errors import InvalidParameterError
 
+LEAST_PER_PIXEL = 1e-3
+"""Mean number of samples in a pixel below which a buffer is as good as empty."""
 HEADROOM = 4.0
 """How many times the mean number of samples fixed point has room for in a pixel."""
 
@@ -101,7 +103,7 @@ class Slr:
             samples,
             partition,
             layers,
-            self.filters(layers, samples.per_pixel),
+            self.filters(layers, max(samples.per_pixel, LEAST_PER_PIXEL)),
             tiling,
             (self.bilinear, np.float32(steps)),
         )

@@ -353,6 +353,13 @@ def test_a_pixel_without_any_sample_near_is_empty():
     np.testing.assert_allclose(image[:, :9], 1, rtol=1e-6)
 
 
+def test_a_buffer_without_samples_is_an_empty_image():
+    given = random_buffer(np.random.default_rng(8))
+    parts = given.depth, given.motion, given.lens_uv, given.time, given.offset
+    empty = SampleBuffer(given.radiance, *parts, valid=np.zeros(given.depth.shape, bool))
+    np.testing.assert_array_equal(reconstruct(empty, CAMERA, method="sheared"), 0)
+
+
 # Tiles
 
 
