@@ -619,7 +619,8 @@ def test_denoisers_are_given_the_mean_of_the_samples(monkeypatch):
     assert report["time_s"]["total"] > 0
     np.testing.assert_allclose(reconstruct(given, CAMERA, method="bm3d")[..., :3], 0.25, rtol=1e-6)
     np.testing.assert_allclose(calls["bm3d"][0], np.log1p(mean[..., :3]), rtol=1e-6)
-    assert calls["bm3d"][1] == pytest.approx(runtime.denoise.noise_deviation(np.log1p(mean[..., :3])))
+    deviation = runtime.denoise.noise_deviation(np.log1p(mean[..., :3]))
+    assert calls["bm3d"][1] == pytest.approx(runtime.denoise.OUTLIERS * deviation)
 
 
 def test_filters_are_named_tuples_of_one_value_for_each_layer():
