@@ -13,7 +13,6 @@ import numpy as np
 from runtime.render import Clock
 from runtime.sheared.lrdm import Lrdm, PracticalLrdm
 from runtime.sheared.method import Image, Method
-from runtime.sheared.method import Image, Method
 from runtime.sheared.samples import Samples
 from runtime.sheared.slr import Slr
 from spreadlets.camera import ThinLens
