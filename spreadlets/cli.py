@@ -352,7 +352,8 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     default="spreadlets",
     show_default=True,
     help="spreadlets; dense or dense-rows (PSFs drawn in full); sheared, axis-aligned, lrdm, "
-    "lrdm-sheared or lrdm-ewa (layered reconstruction); mean (of each pixel's samples); bm3d or oidn (that mean, denoised by an optional package).",
+    "lrdm-sheared or lrdm-ewa (layered reconstruction); mean (of each pixel's samples); bm3d or oidn (that "
+    "mean, denoised by an optional package).",
 )
 @click.option(
     "--set",

@@ -29,8 +29,8 @@ LEAST_RATE = 0.02
 TINY = 1e-12
 MISSES, PASSES, SEES = range(3)
 """What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
-MARGIN = 4096
-"""px: samples land no farther than this beyond a box's upper left corner."""
+MARGIN = 256
+"""px: more than samples land beyond a box's upper left corner; small, as a larger one would cost digits."""
 
 Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
