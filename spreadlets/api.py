@@ -201,11 +201,12 @@ def reconstruct(
         As for `synthesize`. Without an effect (``defocus=False``) the image is what a camera without it would see.
     method : str
         ``spreadlets``: sparse Laplacian splatting. ``dense``, ``dense-rows``: the same PSFs drawn in full. ``sheared``,
-        ``axis-aligned``: layered reconstruction (SLR 2015). ``mean``: the mean of each pixel's samples, the plain Monte
-        Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
+        ``axis-aligned``: layered reconstruction (SLR 2015). ``lrdm``, ``lrdm-sheared``, ``lrdm-ewa``: of motion, too
+        (LRDM 2014, and with two faster screen filters of 2015). ``mean``: the mean of each pixel's samples, the plain
+        Monte Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
     settings : mapping, optional
-        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr`; there, ``layers`` is the
-        number of partitions over both sides of focus.
+        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr` and
+        `runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
     denoise : {"oidn", "bm3d"}, optional
         Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
         default off. For methods that splat.

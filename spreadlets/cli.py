@@ -380,15 +380,16 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     "--method",
     default="spreadlets",
     show_default=True,
-    help="spreadlets; dense or dense-rows (PSFs drawn in full); sheared or axis-aligned (layered reconstruction); mean "
-    "(of each pixel's samples); bm3d or oidn (that mean, denoised by an optional package).",
+    help="spreadlets; dense or dense-rows (PSFs drawn in full); sheared, axis-aligned, lrdm, "
+    "lrdm-sheared or lrdm-ewa (layered reconstruction); mean (of each pixel's samples); bm3d or oidn (that "
+    "mean, denoised by an optional package).",
 )
 @click.option(
     "--set",
     "assignments",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A setting of sheared or axis-aligned, such as bilinear=true, tile=64 or aperture=gaussian; may be repeated.",
+    help="A setting of a layered reconstruction, such as tile=64 or block=0; may be repeated.",
 )
 @click.option("--integrator", help="Poisson solver: multigrid, pyramid, exact, pyramid-f5 or pyramid-f7.")
 @click.option("--cycles", type=click.IntRange(min=0), help="Cycles of the integrator multigrid.")
@@ -446,6 +447,24 @@ def reconstruct(
         exr.write_image(output, image)
     report["time_s"] = clock.times()
     _print(report | figures, as_json)
+
+
+@cli.command()
+@json_option
+def tune(as_json: bool) -> None:
+    """Find how much work a thread should take at a time in the methods lrdm, lrdm-sheared and lrdm-ewa, and keep it.
+
+    The sizes are kept in a file of this user's; images do not depend on them. Takes a few seconds.
+
+    Example: spreadlets tune
+    """
+    from dataclasses import asdict
+
+    from runtime.sheared.tune import tune as measure
+
+    sizes, times = measure()
+    path = sizes.save()
+    _print({"file": str(path), "work_sizes": asdict(sizes), "time_ms": times}, as_json)
 
 
 def _assigned(assignments: tuple[str, ...]) -> dict[str, object]:

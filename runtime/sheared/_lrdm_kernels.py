@@ -15,8 +15,8 @@ COUNT, COC, COC_2, MX, MY, MXX, MXY, MYY = range(8)
 N_MOMENTS = 8
 
 ETA, BX, BY, LENS_RATE, TIME_RATE, SXX, SXY, SYY = range(8)
-"""Columns of a filter: slopes of the reprojection, px per lens radius and px per frame; half the inverse variance of the
-weights over lens and time, 0 if all weigh the same; covariance of the screen filter, px^2."""
+"""Columns of a filter: slopes of the reprojection, px per lens radius and px per frame; half the inverse variance of
+the weights over lens and time, 0 if all weigh the same; covariance of the screen filter, px^2."""
 N_FILTER = 8
 
 LENS_VARIANCE, TIME_VARIANCE, LENS_REACH, TIME_REACH = range(4)
@@ -29,8 +29,8 @@ LEAST_RATE = 0.02
 TINY = 1e-12
 MISSES, PASSES, SEES = range(3)
 """What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
-MARGIN = 4096
-"""px: samples land no farther than this beyond a box's upper left corner."""
+MARGIN = 256
+"""px: more than samples land beyond a box's upper left corner; small, as a larger one would cost digits."""
 
 Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
@@ -257,8 +257,8 @@ def filter_extents(m, spread, pixel, moving, scratch):
 def may_merge(nearer, farther, spread, pixel, moving, shrink, scratch):
     """Return whether the filter of two partitions together is at most some share smaller than that of either.
 
-    Both count alike, however many samples they have: else a few samples of one would not be seen in the other. Both axes
-    are compared: a moving and a still surface together may have a filter of the same area that suits neither.
+    Both count alike, however many samples they have: else a few samples of one would not be seen in the other. Both
+    axes are compared: a moving and a still surface together may have a filter of the same area that suits neither.
     """
     both = 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
     longer, shorter = filter_extents(both, spread, pixel, moving, scratch)
@@ -448,8 +448,8 @@ def reproject_layers(samples, partition, tables, jobs, spread, moving, begin, en
     tables : tuple
         ``own`` and ``holes`` (T, P) int16, and ``filters`` (L, N_FILTER) float32.
     jobs : tuple
-        Of each job the layer's number among all, its tile, its number in the tile, all (J,) int64; the boxes of the sums
-        (J, 4) int32; and where the sums begin (J + 1,) int64.
+        Of each job the layer's number among all, its tile, its number in the tile, all (J,) int64; the boxes of the
+        sums (J, 4) int32; and where the sums begin (J + 1,) int64.
     spread : ndarray of shape (4,), float64
     sums : ndarray of one dimension, float32
         The sums of all jobs, one after the other.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -45,7 +45,16 @@ SAMPLES_AT_A_TIME = 1 << 16
 SEED = 0x9E3779B9
 """Of the sparse statistics."""
 
-Jobs = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int32], Any]
+Work = Callable[[int, int], None]
+Step = tuple[Work, int]
+Jobs = tuple[
+    npt.NDArray[np.int64],
+    npt.NDArray[np.int64],
+    npt.NDArray[np.int64],
+    npt.NDArray[np.int32],
+    npt.NDArray[np.int64],
+]
+"""See `runtime.sheared._lrdm_kernels.reproject_layers`."""
 
 
 @dataclass(frozen=True)
@@ -132,13 +141,12 @@ class Lrdm:
     def partitions(self, samples: Samples) -> npt.NDArray[np.uint8]:
         """Return the partition of each sample, from near to far; the last is for those that met nothing."""
         partition = np.empty(len(samples.coc), np.uint8)
-        _in_parts(
-            lambda begin, end: _lrdm_kernels.assign_partitions(
-                samples.coc, samples.colour, self.step, self.layers + 1, begin, end, partition
-            ),
-            len(partition),
-            SAMPLES_AT_A_TIME,
-        )
+
+        def work(begin: int, end: int) -> None:
+            given = samples.coc, samples.colour, self.step, self.layers + 1
+            _lrdm_kernels.assign_partitions(*given, begin, end, partition)
+
+        in_parts(work, len(partition), SAMPLES_AT_A_TIME)
         return partition
 
     def set_up(
@@ -148,8 +156,9 @@ class Lrdm:
         tiling: Tiling,
         spread: npt.NDArray[np.float64],
         moving: bool,
+        size: int | None = None,
     ) -> Tables:
-        """Take the statistics of all tiles, merge partitions and set their filters up."""
+        """Take the statistics of all tiles, merge partitions and set their filters up, so many tiles at a time."""
         boxes, n_partitions = tiling.inner(), self.layers + 1
         shape = len(boxes), n_partitions
         own, holes = np.empty(shape, np.int16), np.empty(shape, np.int16)
@@ -158,21 +167,12 @@ class Lrdm:
         sampling = max(self.sparsity * per_pixel, 1), SEED
         given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
         settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
-        _in_parts(
-            lambda begin, end: _lrdm_kernels.set_up_tiles(
-                given,
-                boxes,
-                morton_order(self.tile),
-                sampling,
-                spread,
-                settings,
-                begin,
-                end,
-                (own, holes, filters, counts),
-            ),
-            len(boxes),
-            WorkSizes.current().set_up,
-        )
+
+        def work(begin: int, end: int) -> None:
+            order, tables = morton_order(self.tile), (own, holes, filters, counts)
+            _lrdm_kernels.set_up_tiles(given, boxes, order, sampling, spread, settings, begin, end, tables)
+
+        in_parts(work, len(boxes), size or WorkSizes.current().set_up)
         used = np.arange(n_partitions) < counts[:, 1:]
         first = np.concatenate([[0], np.cumsum(counts[:, 1])]).astype(np.int64)
         return Tables(own, holes, filters[used].astype(np.float32), first, int(counts[:, 0].sum()))
@@ -208,6 +208,28 @@ class Tables(NamedTuple):
     n_used: int
 
 
+class Block(NamedTuple):
+    """A block of t tiles with J layers, and its buffers.
+
+    Attributes
+    ----------
+    inner : ndarray of shape (t, 4), int32
+        Boxes of the tiles, px.
+    first_job : ndarray of shape (t + 1,), int64
+        The layers of a tile are jobs ``first_job[tile]`` to ``first_job[tile + 1] - 1``.
+    jobs : tuple of arrays
+        See `runtime.sheared._lrdm_kernels.reproject_layers`.
+    sums, between : ndarray of one dimension, float32
+        Of all layers, one after the other: before and after the first pass of the screen filter.
+    """
+
+    inner: npt.NDArray[np.int32]
+    first_job: npt.NDArray[np.int64]
+    jobs: Jobs
+    sums: FloatArray
+    between: FloatArray
+
+
 @dataclass(frozen=True)
 class LrdmFilter:
     """What `Lrdm.prepare` found."""
@@ -223,14 +245,51 @@ class LrdmFilter:
 
     def fill(self, image: Image) -> None:
         """Fill an image (H, W, 4), block by block; the steps of a block are divided between threads."""
-        way = SCREEN_FILTERS[self.method.screen_filter]
+        sizes = WorkSizes.current()
+        for block in self.blocks():
+            for name, (work, n) in self.steps(block, image).items():
+                in_parts(work, n, getattr(sizes, name))
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the blocks; they share their buffers."""
         rings = np.empty((len(self.tables.filters), 2), np.int32)
-        _gauss_kernels.ring_of_layers(way, self.tables.filters, _lrdm_kernels.SXX, rings)
-        blocks = [self._jobs(tiles, rings) for tiles in self._blocks()]
-        size = max(int(jobs[-1][-1]) for _, _, jobs in blocks)
+        _gauss_kernels.ring_of_layers(self._way, self.tables.filters, _lrdm_kernels.SXX, rings)
+        found = [self._jobs(tiles, rings) for tiles in self._tiles_of_blocks()]
+        size = max(int(jobs[-1][-1]) for _, _, jobs in found)
         sums, between = np.empty(size, np.float32), np.empty(size, np.float32)
-        for inner, first_job, jobs in blocks:
-            self._block(way, inner, first_job, jobs, sums, between, image)
+        for inner, first_job, jobs in found:
+            yield Block(inner, first_job, jobs, sums, between)
+
+    def steps(self, block: Block, image: Image) -> dict[str, Step]:
+        """Return what is to be done for a block, in order: by the name of a work size, the work and how much."""
+        samples, tables, side = self.samples, self.tables, self.method.tile
+        given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
+        found = (tables.own, tables.holes, tables.filters)
+        inner, first_job, jobs, sums, between = block
+        of_filter = (self._way, tables.filters, _lrdm_kernels.SXX, jobs, side)
+
+        def reproject(begin: int, end: int) -> None:
+            _lrdm_kernels.reproject_layers(
+                given, self.partition, found, jobs, self.spread, self.moving, begin, end, sums
+            )
+
+        def blur(begin: int, end: int) -> None:
+            _gauss_kernels.blur_layers(*of_filter, begin, end, sums, between)
+
+        def composite(begin: int, end: int) -> None:
+            _gauss_kernels.composite_tiles(*of_filter, inner, first_job, begin, end, sums, between, image)
+
+        n_layers = len(jobs[0])
+        return {
+            "reproject": (reproject, n_layers),
+            "blur": (blur, n_layers),
+            "composite": (composite, len(inner)),
+        }
+
+    @property
+    def _way(self) -> int:
+        """Number of the screen filter."""
+        return SCREEN_FILTERS[self.method.screen_filter]
 
     def figures(self) -> dict[str, float]:
         """Return the mean numbers of partitions and layers of a tile, and the time of the set-up."""
@@ -241,7 +300,7 @@ class LrdmFilter:
             "set_up_s": self.set_up_s,
         }
 
-    def _blocks(self) -> list[npt.NDArray[np.int64]]:
+    def _tiles_of_blocks(self) -> list[npt.NDArray[np.int64]]:
         """Return the tiles of each block, row by row."""
         inner = self.layout.inner()
         side = self.method.block or max(self.layout.shape)
@@ -251,7 +310,7 @@ class LrdmFilter:
     def _jobs(
         self, tiles: npt.NDArray[np.int64], rings: npt.NDArray[np.int32]
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], Jobs]:
-        """Return the boxes of a block's tiles, where the layers of each begin, and what is to be done for each layer."""
+        """Return the boxes of a block's tiles, where the layers of each begin, and what is to be done."""
         first, inner, side = self.tables.first, self.layout.inner(), self.method.tile
         counts = first[tiles + 1] - first[tiles]
         first_job = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -264,43 +323,6 @@ class LrdmFilter:
         sizes = np.prod((side + 2 * ring).astype(np.int64), axis=1) * N_SUMS
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, starts)
-
-    def _block(
-        self,
-        way: int,
-        inner: npt.NDArray[np.int32],
-        first_job: npt.NDArray[np.int64],
-        jobs: Jobs,
-        sums: FloatArray,
-        between: FloatArray,
-        image: Image,
-    ) -> None:
-        """Fill the tiles of a block."""
-        samples, tables, method, sizes = self.samples, self.tables, self.method, WorkSizes.current()
-        given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
-        found = (tables.own, tables.holes, tables.filters)
-        column = _lrdm_kernels.SXX
-        _in_parts(
-            lambda begin, end: _lrdm_kernels.reproject_layers(
-                given, self.partition, found, jobs, self.spread, self.moving, begin, end, sums
-            ),
-            len(jobs[0]),
-            sizes.reproject,
-        )
-        _in_parts(
-            lambda begin, end: _gauss_kernels.blur_layers(
-                way, tables.filters, column, jobs, method.tile, begin, end, sums, between
-            ),
-            len(jobs[0]),
-            sizes.blur,
-        )
-        _in_parts(
-            lambda begin, end: _gauss_kernels.composite_tiles(
-                way, tables.filters, column, jobs, method.tile, inner, first_job, begin, end, sums, between, image
-            ),
-            len(inner),
-            sizes.composite,
-        )
 
 
 def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
@@ -333,14 +355,9 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
     return np.stack([rows[order], cols[order]], axis=1).astype(np.int16)
 
 
-def _in_parts(work: Callable[[int, int], Any], n: int, size: int) -> None:
+def in_parts(work: Work, n: int, size: int) -> None:
     """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
-    if numba.get_num_threads() == 1:
-        for begin, end in parts:
-            work(begin, end)
-        return
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        running: list[Future[Any]] = [pool.submit(work, begin, end) for begin, end in parts]
-        for done in running:
+        for done in [pool.submit(work, *part) for part in parts]:
             done.result()
