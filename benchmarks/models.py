@@ -25,7 +25,7 @@ from precompute.build import build_database, model_grid
 from precompute.light_tracing import trace_psf
 from runtime.render import Options, synthesize
 from runtime.variant import DensePsf
-from spreadlets.api import _dense_psf
+from spreadlets.api import DensePsfs
 from spreadlets.database import Database, open_database
 from spreadlets.psf_model import PsfGrid
 
@@ -63,7 +63,14 @@ WIDE = {
 PRICES = (0.125, 0.25, 0.5, 1.0, 2.0)
 """Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.PRICE`."""
 
-UNBOUND = {"WORST_LOSS": 0.2, "THIN_RADIUS": 0.0, "DIRECT_COST": 1.0, "DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1)}
+UNBOUND = {
+    "WORST_LOSS": 0.2,
+    "MISJUDGED_LOSS": 1.0,
+    "THIN_RADIUS": 0.0,
+    "DIRECT_COST": 1.0,
+    "DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1),
+    "MAX_LEFT_OUT": 1.0,
+}
 """Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
 
 
@@ -214,7 +221,8 @@ def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
     rows = []
     for name in names:
         with open_database(name) as database:
-            traced = cache(_dense_psf(database))
+            # The wrapper keeps the attributes that the protocol asks for.
+            traced = cache(DensePsfs(database))
             rows += [frame_row(folder, scene, database, traced) for scene in scenes]
             print(rows[-1], flush=True)
     return table(("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio"), rows)

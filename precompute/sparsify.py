@@ -41,6 +41,10 @@ WORST_LOSS = 0.024
 It bounds the step in quality where neighbouring directions of a cell fall to either side of the choice between points
 and pixels."""
 
+MISJUDGED_LOSS = 0.03
+"""Loss of similarity, at density 1, above which half the price is tried: the form that the points are chosen by is
+of second order, and may be wrong by as much as it allows."""
+
 SMOOTHING = 1.0
 """Standard deviation, px, that keeps the tracing's noise out of the candidates."""
 
@@ -74,8 +78,12 @@ DIRECT_COST = 0.5
 THIN_RADIUS = 3.5
 """PSFs no wider than a disc of this radius, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
-DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
+DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 3e-2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
+
+MAX_LEFT_OUT = 0.1
+"""Share of a channel's light that those pixels may hold, save at the least fraction: an aberrated PSF has a bright core,
+and around it a veil of half its light that the similarity, relative to the peak, hardly sees."""
 
 DIRECT_BITS = 13
 """Direct values are rounded to the peak's power of two divided by 2 to this power: a third of the file is saved, and
@@ -127,8 +135,13 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     results = []
     if _width_radius(boxed) > THIN_RADIUS:
         results.append(_measured(boxed, _sparse_spreadlet(boxed, (price, limit), threshold, seed)))
+        if 1.0 - results[0][1]["ssim"] > MISJUDGED_LOSS * density**-0.5:
+            results = [_measured(boxed, _sparse_spreadlet(boxed, (0.5 * price, 0.5 * limit), threshold, seed))]
     for least in DIRECT_THRESHOLDS:
-        sparsity = float((boxed > least * boxed.max()).any(axis=2).sum() / _support(boxed).sum())
+        kept = (boxed > least * boxed.max()).any(axis=2)
+        if least > DIRECT_THRESHOLDS[0] and (boxed[~kept].sum(axis=0) > MAX_LEFT_OUT * boxed.sum(axis=(0, 1))).any():
+            break
+        sparsity = float(kept.sum() / _support(boxed).sum())
         # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
         if not results or DIRECT_COST * PRICE * sparsity < _loss(results[0]):
             results.append(_measured(boxed, _direct_spreadlet(boxed, least)))
