@@ -392,8 +392,8 @@ def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray
     bundle = trace_bundle(focused, place, wavelength, _inverse_distance(focused, coc, side), height)
     lit = bundle.clearance >= 0.0
     if not lit.any():
-        place = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"
-        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, place))
+        where = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"
+        raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, where))
     some = lit.any(axis=0)
     step = ticks[1] - ticks[0]
     ranges = [(values.ravel()[some].min() - step, values.ravel()[some].max() + step) for values in (along, across)]

@@ -41,6 +41,13 @@ WORST_LOSS = 0.024
 It bounds the step in quality where neighbouring directions of a cell fall to either side of the choice between points
 and pixels."""
 
+MISJUDGED_LOSS = 0.03
+"""Loss of similarity, at density 1, above which a lower price is tried: the form that the points are chosen by is of
+second order, and may be wrong by as much as it allows; and the candidates may be too few."""
+
+MISJUDGED_TRIES = ((1.0, 1.0), (0.5, 1.0), (0.5, 2.0))
+"""What is tried in turn: a share of the price and of the loss that is allowed, and of the candidates."""
+
 SMOOTHING = 1.0
 """Standard deviation, px, that keeps the tracing's noise out of the candidates."""
 
@@ -74,8 +81,12 @@ DIRECT_COST = 0.5
 THIN_RADIUS = 3.5
 """PSFs no wider than a disc of this radius, px, are drawn directly: their few rows of pixels are cheaper, and exact."""
 
-DIRECT_THRESHOLDS = (1e-3, 3e-3, 1e-2, 3e-2)
+DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 3e-2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
+
+MAX_LEFT_OUT = 0.1
+"""Share of a channel's light that those pixels may hold, save at the least fraction: an aberrated PSF has a bright
+core, and around it a veil of half its light that the similarity, relative to the peak, hardly sees."""
 
 DIRECT_BITS = 13
 """Direct values are rounded to the peak's power of two divided by 2 to this power: a third of the file is saved, and
@@ -124,11 +135,18 @@ def sparsify(psf: npt.ArrayLike, *, density: float = 1.0, seed: int = 0) -> Resu
     threshold = CANDIDATE_THRESHOLD
     if spike.any():
         price, limit, threshold = SPIKED * price, SPIKED * limit, SPIKED_CANDIDATE_THRESHOLD
-    results = []
+    results: list[Result] = []
     if _width_radius(boxed) > THIN_RADIUS:
-        results.append(_measured(boxed, _sparse_spreadlet(boxed, (price, limit), threshold, seed)))
+        for share, more in MISJUDGED_TRIES:
+            candidates = threshold, round(more * MAX_ORBITS)
+            results = [_measured(boxed, _sparse_spreadlet(boxed, (share * price, share * limit), candidates, seed))]
+            if 1.0 - results[0][1]["ssim"] <= MISJUDGED_LOSS * density**-0.5:
+                break
     for least in DIRECT_THRESHOLDS:
-        sparsity = float((boxed > least * boxed.max()).any(axis=2).sum() / _support(boxed).sum())
+        kept = (boxed > least * boxed.max()).any(axis=2)
+        if least > DIRECT_THRESHOLDS[0] and (boxed[~kept].sum(axis=0) > MAX_LEFT_OUT * boxed.sum(axis=(0, 1))).any():
+            break
+        sparsity = float(kept.sum() / _support(boxed).sum())
         # A direct spreadlet costs at least its points, so that those of large PSFs need not be measured.
         if not results or DIRECT_COST * PRICE * sparsity < _loss(results[0]):
             results.append(_measured(boxed, _direct_spreadlet(boxed, least)))
@@ -258,13 +276,18 @@ def round_direct(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float
     return np.asarray(rounded, dtype=np.float32)
 
 
-def _sparse_spreadlet(psf: FloatArray, terms: tuple[float, float], threshold: float, seed: int) -> Spreadlet:
-    """Choose the points of the Laplacian and fit their values."""
+def _sparse_spreadlet(
+    psf: FloatArray, terms: tuple[float, float], candidates: tuple[float, int], seed: int
+) -> Spreadlet:
+    """Choose the points of the Laplacian and fit their values.
+
+    The terms are those of `eliminate`, price and limit; of the candidates, their threshold and how many at most.
+    """
     price, limit = terms
     peak = float(psf.max())
     group = find_group(psf)
     scaled = symmetrise(psf, group) / peak
-    members, size = orbits(_candidates(scaled, group, threshold, seed), group)
+    members, size = orbits(_candidates(scaled, group, candidates, seed), group)
     equations = similarity_equations(scaled, members, size, group)
     index, value = eliminate(equations, size, price / int(_support(psf).sum()), limit)
     offset, spread_value = expand(members[index], size[index], value)
@@ -338,19 +361,20 @@ def _quantum(value: npt.NDArray[np.float32]) -> FloatArray:
     return np.asarray(np.exp2(np.ceil(np.log2(largest)) - QUANTUM_BITS - 1))
 
 
-def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], threshold: float, seed: int) -> IntArray:
+def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], bounds: tuple[float, int], seed: int) -> IntArray:
     """Return offsets (n, 2) of pixels that may become points, one of each orbit, thinned if they are too many."""
+    threshold, most = bounds
     smooth = gaussian_filter(psf, SMOOTHING, axes=(0, 1), mode="constant")
     strength = np.abs(laplacian(smooth)[1:-1, 1:-1]).max(axis=2)
     half = np.asarray(strength.shape) // 2
     offset: IntArray = np.argwhere(strength > threshold * strength.max()) - half
     offset = offset[representatives(offset, group)[0]]
-    if len(offset) <= MAX_ORBITS:
+    if len(offset) <= most:
         return offset
     row, column = (offset + half).T
     importance = np.zeros_like(strength)
     importance[row, column] = strength[row, column]
-    return np.asarray(throw_darts(importance, MAX_ORBITS, np.random.default_rng(seed)) - half)
+    return np.asarray(throw_darts(importance, most, np.random.default_rng(seed)) - half)
 
 
 def _measured(psf: FloatArray, spreadlet: Spreadlet, spike: FloatArray | float = 0.0) -> Result:

@@ -144,7 +144,7 @@ def illumination(model: PsfModel, shape: tuple[int, int], mm_per_px: float) -> F
         )
     view = View(np.zeros(shape, np.float32), 1.0, mm_per_px)
     known = np.linspace(0.0, model.settings["max_eccentricity_mm"], len(shares))
-    return np.interp(view.image_height() * mm_per_px, known, shares).astype(np.float32)
+    return np.asarray(np.interp(view.image_height() * mm_per_px, known, shares), np.float32)
 
 
 def ignored_effects(labels: Labels, model: PsfModel) -> list[tuple[str, float]]:

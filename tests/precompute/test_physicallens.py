@@ -390,6 +390,21 @@ def test_rays_that_fail_are_counted_with_their_surface(old, new, surface, event)
 
 
 @compiled
+def test_the_blur_of_the_pre_filter_adds_its_variance(monkeypatch):
+    def variance(psf):
+        weight = psf.sum(axis=2) / psf.sum()
+        rows, cols = (axis - (weight * axis).sum() for axis in np.indices(weight.shape))
+        return (weight * rows**2).sum(), (weight * cols**2).sum()
+
+    model, box = lens_model(), [[10.0, 18.0], [8.0, 8.0]]
+    blurred = variance(trace_psf(model, box, rays=1_000_000))
+    monkeypatch.setattr(physicallens, "BLUR", 0.0)
+    plain = variance(trace_psf(model, box, rays=1_000_000))
+    sigma = 0.3 * 4.0
+    assert np.subtract(blurred, plain) == pytest.approx([sigma**2] * 2, rel=0.02)
+
+
+@compiled
 def test_darkness_names_the_surface_and_what_it_does():
     settings = model_settings("physicallens", {"lens": "double_gauss"})
     model = get_model("physicallens", settings=settings)

@@ -3,6 +3,7 @@ import pytest
 from reference import capsule_psf, disc_coverage
 from scipy.ndimage import gaussian_filter
 
+import precompute.sparsify as sparsify_module
 from precompute.sparsify import DIRECT_BITS, round_direct, sparsify
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_l1, psf_similarity
@@ -86,6 +87,31 @@ def test_thin_psfs_are_drawn_directly_and_exactly(psf):
     assert statistics["ssim"] > 0.97
     assert statistics["energy_error"] < 1e-6
     assert statistics["sparsity"] <= 1
+
+
+def test_a_faint_veil_is_not_left_out(monkeypatch):
+    """A narrow core in a veil of a third of the light: the similarity alone would drop most of the veil."""
+    rows, cols = np.indices((41, 41)) - 20
+    square = rows**2 + cols**2
+    psf = np.exp(-square / (2 * 0.6**2)) + 0.03 * np.exp(-square / (2 * 2.4**2))
+    results = []
+    for most in (sparsify_module.MAX_LEFT_OUT, 1.0):
+        monkeypatch.setattr(sparsify_module, "MAX_LEFT_OUT", most)
+        spreadlet, statistics = sparsify(psf)
+        assert spreadlet.direct
+        kept = np.zeros(psf.shape, np.bool_)
+        kept[tuple((spreadlet.offset_rc + 20).T)] = True
+        results.append((psf[~kept].sum() / psf.sum(), statistics["l1"]))
+    assert results[0][0] <= 0.1 < results[1][0]
+    assert results[0][1] < 0.7 * results[1][1]
+
+
+def test_a_spreadlet_that_was_misjudged_gets_more_points(monkeypatch):
+    psf = disc_coverage(14.0)
+    plain = sparsify(psf)[1]
+    monkeypatch.setattr(sparsify_module, "MISJUDGED_LOSS", 0.0)
+    again = sparsify(psf)[1]
+    assert again["n_points"] > plain["n_points"] and again["ssim"] > plain["ssim"]
 
 
 def test_direct_pixels_are_rounded_to_few_bits_without_loss_of_energy():
