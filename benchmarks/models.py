@@ -74,6 +74,9 @@ UNBOUND = {
 """Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
 
 
+SPREADLET_NOTE = """s each: the time of a pose; of a sample it is the processor's, of a database that ships what its build
+recorded, on a machine that others used as well. MB: of a sample, for all its cells.
+"""
 SPARSITY_NOTE = """Grids up to a CoC of 256 px, every cell weighing the same; lens: singlet, 50 mm, f/5, focused at 3 m.
 Sparsity, %, at a mean similarity of .97; then sparsity, %, and similarity at each price of a point.
 """
@@ -265,7 +268,7 @@ def main() -> None:
     if arguments.sample:
         text = spreadlet_table(arguments.sample)
         print(text)
-        (RESULTS / "models.txt").write_text(text + "\n")
+        (RESULTS / "models.txt").write_text(SPREADLET_NOTE + text + "\n")
     if arguments.cells:
         text = sparsity_table(arguments.cells)
         print(text)
