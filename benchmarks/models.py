@@ -74,8 +74,8 @@ UNBOUND = {
 """Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
 
 
-SPREADLET_NOTE = """s each: the time of a pose; of a sample it is the processor's, of a database that ships what its build
-recorded, on a machine that others used as well. MB: of a sample, for all its cells.
+SPREADLET_NOTE = """s each: the time of a pose; of a sample it is the processor's, of a database that ships what its
+build recorded, on a machine that others used as well. MB: of a sample, for all its cells.
 """
 SPARSITY_NOTE = """Grids up to a CoC of 256 px, every cell weighing the same; lens: singlet, 50 mm, f/5, focused at 3 m.
 Sparsity, %, at a mean similarity of .97; then sparsity, %, and similarity at each price of a point.
