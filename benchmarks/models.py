@@ -74,6 +74,12 @@ UNBOUND = {
 """Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
 
 
+FRAME_COLUMNS = ("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio")
+FRAME_NOTE = """s: splat and integrate, of spreadlets and of the same PSFs drawn in full, pixel by pixel.
+"""
+SPREADLET_NOTE = """s each: the time of a pose; of a sample it is the processor's, of a database that ships what its
+build recorded, on a machine that others used as well. MB: of a sample, for all its cells.
+"""
 SPARSITY_NOTE = """Grids up to a CoC of 256 px, every cell weighing the same; lens: singlet, 50 mm, f/5, focused at 3 m.
 Sparsity, %, at a mean similarity of .97; then sparsity, %, and similarity at each price of a point.
 """
@@ -242,15 +248,17 @@ def spreadlet_table(n_sampled: int) -> str:
 
 
 def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
-    """Return the second table: images against dense splatting of the same PSFs."""
-    rows = []
+    """Return the table of images against dense splatting of the same PSFs; it is written as it grows."""
+    rows: list[list[object]] = []
+    text = ""
     for name in names:
         with open_database(name) as database:
             traced = DensePsfs(database)
             for scene in scenes:
                 rows.append(frame_row(folder, scene, database, traced))
-                print(rows[-1], flush=True)
-    return table(("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio"), rows)
+                text = table(FRAME_COLUMNS, rows)
+                (RESULTS / "models_frames.txt").write_text(FRAME_NOTE + text + "\n")
+    return text
 
 
 def main() -> None:
@@ -265,7 +273,7 @@ def main() -> None:
     if arguments.sample:
         text = spreadlet_table(arguments.sample)
         print(text)
-        (RESULTS / "models.txt").write_text(text + "\n")
+        (RESULTS / "models.txt").write_text(SPREADLET_NOTE + text + "\n")
     if arguments.cells:
         text = sparsity_table(arguments.cells)
         print(text)
@@ -275,7 +283,6 @@ def main() -> None:
     elif arguments.models:
         text = frame_table(arguments.frames, arguments.scenes, arguments.models)
         print(text)
-        (RESULTS / "models_frames.txt").write_text("s: splat and integrate\n" + text + "\n")
 
 
 if __name__ == "__main__":

@@ -145,10 +145,12 @@ def synthesize(
     moving = options.get("motion", True) and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
         given, clock = _render_options(opened, method, options)
+        height, width = layered.layers[0].depth.shape
+        mm_per_px = camera.sensor_width_mm / width
+        darkening = illumination(opened.grid.model, (height, width), mm_per_px) if vignetting else None
         image, figures = render.synthesize(layered, camera, opened, given, clock)
-        if vignetting:
-            mm_per_px = camera.sensor_width_mm / image.shape[1]
-            image[..., :3] *= illumination(opened.grid.model, image.shape[:2], mm_per_px)[..., None]
+    if darkening is not None:
+        image[..., :3] *= darkening[..., None]
     return (image, figures) if report else image
 
 

@@ -364,6 +364,12 @@ def test_bad_options_are_one_line(run, scene, small_combined_path, option, value
     assert status == 2 and err.count("\n") == 1 and named in err
 
 
+def test_vignetting_is_refused_where_the_lens_has_none(run, scene, small_combined_path):
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--vignetting")
+    assert (status, out) == (2, "") and "'combined' knows no vignetting" in err and err.count("\n") == 1
+    assert not [path for path in scene.iterdir() if "out" in path.name]
+
+
 def test_wrong_usage_exits_2(run):
     for arguments in (("synth",), ("build", "nothing", "-o", "x.h5"), ("fly",), ("build", "combined", "--seed", "-1")):
         status, out, err = run(*arguments)
