@@ -81,41 +81,43 @@ def n_parts(path: Path) -> int:
 
 
 def kills(folder: Path, reference: Path, count: int, seed: int) -> list[str]:
-    """Kill builds of one file at random moments; whenever one ends by itself, compare, and begin anew.
+    """Kill builds of one file at random moments after 0 to 11 more cells; when one ends by itself, compare, begin anew.
 
     The builds are forks of this process, which has loaded all that they need and computed nothing.
     """
     rng = np.random.default_rng(seed)
     fork = multiprocessing.get_context("fork")
-    path, killed, ended, lost, wrong, parts, spans = folder / "killed.h5", 0, 0, 0, 0, 0, []
-    longest = 2.0
+    path, killed, ended, lost, wrong, parts, finished = folder / "killed.h5", 0, 0, 0, 0, 0, 0
     while killed < count:
         process = fork.Process(target=build_database, args=("combined", path), kwargs=CASE | {"jobs": 1})
-        begin = time.monotonic()
         process.start()
-        process.join(float(rng.uniform(0.0, longest)))
+        more = parts + int(rng.integers(0, 12))
+        while process.is_alive() and n_parts(path) < more:
+            time.sleep(0.001)
+        process.join(float(rng.exponential(0.05)))
         process.kill()
         process.join()
         if process.exitcode == -signal.SIGKILL:
             killed += 1
             now = n_parts(path)
             lost += now < parts and not path.exists()
+            finished += max(now - parts, 0)
             parts = now
-            spans.append(time.monotonic() - begin)
+            if killed % 20 == 0:
+                print(f"{killed} killed, {ended} came to their end, {wrong} differ", flush=True)
             continue
         if process.exitcode:
             return [f"kills: a build failed after {killed} kills"]
         ended += 1
         wrong += not same(path, reference)
-        longest = 1.2 * (time.monotonic() - begin) + 0.2
         path.unlink()
         parts = 0
     status, _ = finish(path, jobs=1)
     wrong += bool(status) or not same(path, reference)
     left = sorted(each.name for each in folder.iterdir() if each.name.startswith((".killed", "killed.h5.")))
     return [
-        f"killed {killed} builds, {min(spans):.2f} to {max(spans):.2f} s after their begin; {ended + 1} came to their end "
-        f"between kills: {wrong} of them differ from the uninterrupted one",
+        f"killed {killed} builds, which had finished {finished} cells; {ended + 1} came to their end between kills: "
+        f"{wrong} of them differ from the uninterrupted one",
         f"finished cells lost by a kill: {lost}; files left over: {', '.join(left) or 'none'}",
     ]
 
