@@ -3,7 +3,7 @@
 After every one of them the same command must go on, and give a database that equals an uninterrupted one, dataset by
 dataset. A child process builds; this one kills it (SIGKILL), 200 times by default, and now and then lets it end.
 
-    python benchmarks/interrupted_builds.py [--kills 200] [--jobs 1] [--seed 0]
+    python benchmarks/interrupted_builds.py [--kills 200] [--seed 0]
 
 Full disk and read-only folder need the right to mount a small file system, and are left out without it. The results go
 to benchmarks/results/interrupted_builds.txt.
@@ -11,8 +11,8 @@ to benchmarks/results/interrupted_builds.txt.
 
 import argparse
 import json
+import multiprocessing
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +24,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+
+from precompute.build import build_database
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -78,42 +80,44 @@ def n_parts(path: Path) -> int:
     return len(list(path.with_name(path.name + ".parts").glob("*.part")))
 
 
-def kills(folder: Path, reference: Path, count: int, jobs: int, seed: int) -> list[str]:
-    """Kill builds of one file at random moments; whenever one ends by itself, compare, and begin anew."""
+def kills(folder: Path, reference: Path, count: int, seed: int) -> list[str]:
+    """Kill builds of one file at random moments after 0 to 11 more cells; when one ends by itself, compare, begin anew.
+
+    The builds are forks of this process, which has loaded all that they need and computed nothing.
+    """
     rng = np.random.default_rng(seed)
-    path, killed, ended, lost, wrong, parts, spans = folder / "killed.h5", 0, 0, 0, 0, 0, []
-    shutil.rmtree(path.with_name("killed.h5.parts"), ignore_errors=True)
-    longest = 3.0
+    fork = multiprocessing.get_context("fork")
+    path, killed, ended, lost, wrong, parts, finished = folder / "killed.h5", 0, 0, 0, 0, 0, 0
     while killed < count:
-        process = start(path, jobs=jobs)
-        assert process.stdout is not None
-        process.stdout.readline()  # it has begun
-        begin = time.monotonic()
-        try:
-            process.wait(float(rng.uniform(0.0, longest)))
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-        said = process.communicate()[1]
-        if process.returncode == -signal.SIGKILL:
+        process = fork.Process(target=build_database, args=("combined", path), kwargs=CASE | {"jobs": 1})
+        process.start()
+        more = parts + int(rng.integers(0, 12))
+        while process.is_alive() and n_parts(path) < more:
+            time.sleep(0.001)
+        process.join(float(rng.exponential(0.05)))
+        process.kill()
+        process.join()
+        if process.exitcode == -signal.SIGKILL:
             killed += 1
             now = n_parts(path)
             lost += now < parts and not path.exists()
+            finished += max(now - parts, 0)
             parts = now
-            spans.append(time.monotonic() - begin)
+            if killed % 20 == 0:
+                print(f"{killed} killed, {ended} came to their end, {wrong} differ", flush=True)
             continue
-        if process.returncode:
-            return [f"kills: a build failed after {killed} kills: {said}"]
+        if process.exitcode:
+            return [f"kills: a build failed after {killed} kills"]
         ended += 1
         wrong += not same(path, reference)
-        longest = 1.2 * (time.monotonic() - begin) + 0.5
         path.unlink()
         parts = 0
-    status, said = finish(path, jobs=jobs)
+    status, _ = finish(path, jobs=1)
     wrong += bool(status) or not same(path, reference)
     left = sorted(each.name for each in folder.iterdir() if each.name.startswith((".killed", "killed.h5.")))
     return [
-        f"killed {killed} builds with {jobs} processes, {min(spans):.2f} to {max(spans):.2f} s after their begin; "
-        f"{ended + 1} came to their end between kills: {wrong} of them differ from the uninterrupted one",
+        f"killed {killed} builds, which had finished {finished} cells; {ended + 1} came to their end between kills: "
+        f"{wrong} of them differ from the uninterrupted one",
         f"finished cells lost by a kill: {lost}; files left over: {', '.join(left) or 'none'}",
     ]
 
@@ -247,7 +251,6 @@ def orphans(folder: Path) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     lines = []
@@ -257,11 +260,11 @@ def main() -> None:
         status, said = finish(reference, jobs=1)
         if status:
             raise SystemExit(said)
+        lines += kills(folder, reference, arguments.kills, arguments.seed)
         for study in (full_disk, read_only, dead_worker, two_at_once):
-            lines += study(folder, reference)
             print("\n".join(lines), flush=True)
+            lines += study(folder, reference)
         lines += orphans(folder)
-        lines += kills(folder, reference, arguments.kills, arguments.jobs, arguments.seed)
     print("\n".join(lines))
     text = "\n".join(lines).replace(name, "...")
     (RESULTS / "interrupted_builds.txt").write_text(text + "\n")

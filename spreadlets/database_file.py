@@ -106,7 +106,7 @@ def write_database(
         The model and its cells.
     cells : iterable of list of CellRecord
         For each cell in index order its records, one for each of ``grid.directions(cell)``. They are taken one by one:
-        no more than a few cells are in memory at once.
+        no more than a few cells are in memory at once, beside the file itself.
     provenance : mapping
         JSON-serialisable facts on how the file was made (seed, versions, settings, build time).
     seed_cell : ndarray of shape (n_cells,), int64, optional
@@ -120,17 +120,21 @@ def write_database(
     target = Path(path)
     temporary = temporary_path(target, str(os.getpid()))
     try:
-        with h5py.File(temporary, "w", libver=LIBRARY_VERSION) as file:
+        # HDF5 cannot close a file that has no room: it makes the file in memory, packed.
+        with h5py.File(temporary, "w", libver=LIBRARY_VERSION, driver="core", backing_store=False) as file:
             _write_header(file, grid, provenance)
             _write_cells(file, grid.model.n_channels, cells)
             if seed_cell is not None:
                 _write_table(file, "seed_cell", seed_cell)
-        with open(temporary, "rb") as written:
+            file.flush()
+            content = file.id.get_file_image()
+        with open(temporary, "wb") as written:
+            written.write(content)
+            written.flush()
             os.fsync(written.fileno())
         os.replace(temporary, target)
-    except (OSError, RuntimeError) as error:  # HDF5 says it so if there is no room to close the file
-        reason = "No space left on device" if "No space left" in str(error) else error
-        raise InvalidParameterError(f"cannot write the database {str(target)!r}: {reason}") from error
+    except OSError as error:
+        raise InvalidParameterError(f"cannot write the database {str(target)!r}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
 
