@@ -6,7 +6,7 @@ Similarity of displayed images in dB (PSNR) and as SSIM. Several tables:
 
 - defocus and motion: the renderer's samples against its converged image;
 - at rest: samples with defocus only, traced through the frames' depth layers (hidden surfaces there), against the mean
-  of 256 of them in each pixel;
+  of 512 of them in each pixel;
 - moved: the renderer's samples, moved to mid-shutter, against its converged defocus;
 - settings; intermediate sums in fixed point (SLR Table I) against float on the same 8-bit displayed colours; tiles of
   64 px against 32 px;
@@ -32,9 +32,9 @@ COUNTS = (1, 2, 4)
 METHODS = ("mean", "axis-aligned", "sheared")
 GOAL_OVER_MEAN_DB = 6.0
 GOAL_SECONDS = 3.0
-REFERENCE_SAMPLES = 256
-STEPS = 8
-"""Of the search for where a ray meets a layer: each takes the CoC of where the last one arrived."""
+REFERENCE_SAMPLES = 512
+STEPS = 6
+"""Of the search for where a ray meets a layer."""
 SETTINGS = (
     {},
     {"bilinear": True},
@@ -52,64 +52,94 @@ LARGE_REPEATS = 4
 Image = np.ndarray
 
 
-class Layer:
-    """A depth layer to trace: colours and CoC of each pixel, also where there is nothing."""
+@numba.njit(cache=True)
+def meet(alpha, coc, row, col, offset, lens):
+    """Return the layer (or -1) and pixel (row, col) that a ray of a pixel meets, of depth layers, nearest first.
 
-    def __init__(self, layer: object, camera: sp.ThinLens) -> None:
-        alpha = layer.radiance[..., 3]
-        nothing = alpha <= 0
-        nearest = ndimage.distance_transform_edt(nothing, return_distances=False, return_indices=True)
-        self.alpha, self.depth = alpha, layer.depth[tuple(nearest)]
-        self.colour = layer.radiance[..., :3] / np.where(nothing, 1, alpha)[..., None]
-        self.coc = camera.coc_radius(self.depth, alpha.shape[1])
-
-    def meet(self, x: Image, y: Image, u: Image, v: Image) -> tuple[Image, Image]:
-        """Return the pixel (row, col) where rays meet the layer."""
-        rows, cols = self.coc.shape
-        row, col = np.rint(y), np.rint(x)
+    A ray at a place meets the layer's point p where ``p + coc(p) * lens`` is that place; the search takes the CoC of
+    where the last step arrived. Chance decides at partly covered pixels.
+    """
+    for k in range(alpha.shape[0]):
+        r, c = row, col
         for _ in range(STEPS):
-            coc = self.coc[np.clip(row, 0, rows - 1).astype(int), np.clip(col, 0, cols - 1).astype(int)]
-            row, col = np.rint(y - coc * v), np.rint(x - coc * u)
-        return np.clip(row, 0, rows - 1).astype(int), np.clip(col, 0, cols - 1).astype(int)
+            x = col + offset[0] - coc[k, r, c] * lens[0]
+            y = row + offset[1] - coc[k, r, c] * lens[1]
+            before = r, c
+            r = min(max(int(np.rint(y)), 0), alpha.shape[1] - 1)
+            c = min(max(int(np.rint(x)), 0), alpha.shape[2] - 1)
+            if before == (r, c):
+                break
+        if np.random.random() < alpha[k, r, c]:  # noqa: NPY002
+            return k, r, c
+    return -1, row, col
 
 
-def trace(layers: list[Layer], n_samples: int, rng: np.random.Generator) -> sp.SampleBuffer:
-    """Return a buffer of samples with defocus only."""
-    shape = (*layers[0].coc.shape, n_samples)
-    radius, angle = np.sqrt(rng.random(shape)), 2 * np.pi * rng.random(shape)
-    u, v = radius * np.cos(angle), radius * np.sin(angle)
-    offset = rng.random((*shape, 2)) - 0.5
-    x = np.arange(shape[1])[None, :, None] + offset[..., 0]
-    y = np.arange(shape[0])[:, None, None] + offset[..., 1]
-    colour, depth, coc = np.zeros((*shape, 4), np.float32), np.full(shape, np.inf, np.float32), np.zeros(shape)
-    free = np.ones(shape, bool)
-    for layer in layers:
-        row, col = layer.meet(x, y, u, v)
-        hit = free & (rng.random(shape) < layer.alpha[row, col])
-        colour[hit] = np.append(layer.colour, np.ones((*layer.alpha.shape, 1)), axis=2)[row, col][hit]
-        depth[hit], coc[hit] = layer.depth[row, col][hit], layer.coc[row, col][hit]
-        free &= ~hit
-    still = np.zeros((*shape, 2), np.float32)
-    return sp.SampleBuffer(colour, depth, still, np.stack([u, v], axis=-1), np.zeros(shape), offset, coc_radius=coc)
+@numba.njit(cache=True, parallel=True)
+def trace(alpha, colour, coc, n_samples, seed, samples, total):
+    """Trace samples of each pixel, spread evenly over the distance from the lens's centre, in random order.
+
+    Fills `samples` (H, W, S, 10) with colour, CoC, layer, lens (2) and offset (2) of the first S, and `total` (H, W, 4)
+    with the mean colour of all.
+    """
+    for row in numba.prange(alpha.shape[1]):
+        np.random.seed(seed * alpha.shape[1] + row)  # noqa: NPY002
+        for col in range(alpha.shape[2]):
+            for s in range(n_samples):
+                radius = np.sqrt((s + np.random.random()) / n_samples)  # noqa: NPY002
+                angle = 2 * np.pi * np.random.random()  # noqa: NPY002
+                lens = radius * np.cos(angle), radius * np.sin(angle)
+                offset = np.random.random() - 0.5, np.random.random() - 0.5  # noqa: NPY002
+                k, r, c = meet(alpha, coc, np.int64(row), np.int64(col), offset, lens)
+                if k >= 0:
+                    total[row, col, :3] += colour[k, r, c] / n_samples
+                    total[row, col, 3] += 1 / n_samples
+                if s < samples.shape[2]:
+                    one = samples[row, col, s]
+                    one[5] = k
+                    if k >= 0:
+                        one[:3], one[3], one[4] = colour[k, r, c], 1.0, coc[k, r, c]
+                    one[6], one[7], one[8], one[9] = lens[0], lens[1], offset[0], offset[1]
 
 
-def traced(scene: Scene) -> tuple[sp.SampleBuffer, Image]:
-    """Return a buffer of 4 samples per pixel of a scene at rest, and the mean of many."""
-    layers = [Layer(layer, scene.camera) for layer in scene.layered.layers]
-    rng = np.random.default_rng(1)
-    batches = REFERENCE_SAMPLES // max(COUNTS)
-    total = sum(trace(layers, max(COUNTS), rng).radiance.mean(axis=2) for _ in range(batches))
-    return trace(layers, max(COUNTS), rng), total / batches
+def traced(scene: Scene, n_samples: int, kept: int, seed: int) -> tuple[sp.SampleBuffer, Image]:
+    """Return samples of a scene at rest, through its depth layers, and the mean of all.
+
+    Kept are the first of each pixel: all of them if they are to be spread over the lens.
+    """
+    layers = scene.layered.layers
+    alpha = np.stack([layer.radiance[..., 3] for layer in layers])
+    colour = np.stack([layer.radiance[..., :3] for layer in layers]) / np.maximum(alpha, 1e-6)[..., None]
+    depth = np.stack([filled(layer.depth, layer.radiance[..., 3] > 0) for layer in layers])
+    coc = scene.camera.coc_radius(depth, alpha.shape[2]).astype(np.float64)
+    samples, total = np.zeros((*alpha.shape[1:], kept, 10)), np.zeros((*alpha.shape[1:], 4))
+    trace(alpha, colour.astype(np.float64), coc, n_samples, seed, samples, total)
+    lens, offset = samples[..., 6:8], samples[..., 8:]
+    far = np.where(samples[..., 5] < 0, np.inf, 1.0)  # the CoC stands for the depth
+    still = np.zeros_like(lens)
+    coc_radius = samples[..., 4]
+    buffer = sp.SampleBuffer(samples[..., :4], far, still, lens, still[..., 0], offset, coc_radius=coc_radius)
+    return buffer, total.astype(np.float32)
+
+
+def filled(values: Image, there: Image) -> Image:
+    """Return an array with the nearest value where there is none."""
+    nearest = ndimage.distance_transform_edt(~there, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]
 
 
 def compare_methods(
-    report: Report, title: str, buffer: sp.SampleBuffer, camera: sp.ThinLens, reference: Image, methods: tuple[str, ...]
+    report: Report,
+    title: str,
+    buffers: list[sp.SampleBuffer],
+    camera: sp.ThinLens,
+    reference: Image,
+    methods: tuple[str, ...],
 ) -> dict[str, list[Image]]:
     """Add a row for each method: PSNR and SSIM at each number of samples; return the images."""
     images = {}
     for method in methods:
         motion = {} if method == "mean" or "moved" not in title else {"motion": False}
-        images[method] = [sp.reconstruct(buffer.take(n), camera, method=method, **motion) for n in COUNTS]
+        images[method] = [sp.reconstruct(buffer, camera, method=method, **motion) for buffer in buffers]
         values = [f"{psnr(image, reference):.2f}" for image in images[method]]
         values += [f"{ssim(image, reference):.4f}" for image in images[method]]
         report.row(f"{title}, {method}", *values)
@@ -123,20 +153,22 @@ def gain(better: Image, worse: Image, reference: Image) -> float:
 
 def quality(report: Report, scene: Scene) -> None:
     """Add the tables of a frame and save its picture."""
-    images = compare_methods(report, scene.name, scene.samples, scene.camera, scene.reference, METHODS)
+    taken = [scene.samples.take(n) for n in COUNTS]
+    images = compare_methods(report, scene.name, taken, scene.camera, scene.reference, METHODS)
     for method in METHODS[1:]:
         over = gain(images[method][-1], images["mean"][-1], scene.reference)
         report.row(f"{scene.name}, {method} over mean", "-", "-", f"{over:+.2f}", f">= {GOAL_OVER_MEAN_DB:g}")
     shown = [images[method][-1] for method in ("sheared", "axis-aligned", "mean")]
     save_pictures(RESULTS / f"sheared_{scene.name}.png", shown, scene.reference, shrink=3)
-    buffer, truth = traced(scene)
-    still = compare_methods(report, f"{scene.name} at rest", buffer, scene.camera, truth, METHODS)
+    truth = traced(scene, REFERENCE_SAMPLES, 1, seed=1)[1]
+    buffers = [traced(scene, n, n, seed=2)[0] for n in COUNTS]
+    still = compare_methods(report, f"{scene.name} at rest", buffers, scene.camera, truth, METHODS)
     gains = [gain(a, b, truth) for a, b in zip(still["sheared"], still["axis-aligned"], strict=True)]
     report.row(f"{scene.name} at rest, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
     shown = [still[method][-1] for method in ("sheared", "axis-aligned", "mean")]
     save_pictures(RESULTS / f"sheared_{scene.name}_at_rest.png", shown, truth, shrink=3)
     defocus = sp.read_image(scene.folder / f"{scene.name}_ref_dof.exr")
-    moved = compare_methods(report, f"{scene.name} moved", scene.samples, scene.camera, defocus, METHODS[1:])
+    moved = compare_methods(report, f"{scene.name} moved", taken, scene.camera, defocus, METHODS[1:])
     gains = [gain(a, b, defocus) for a, b in zip(moved["sheared"], moved["axis-aligned"], strict=True)]
     report.row(f"{scene.name} moved, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
     report.add()

@@ -15,6 +15,9 @@ from spreadlets.errors import InvalidParameterError
 
 Image = npt.NDArray[np.float32]
 
+OUTLIERS = 5.0
+"""How many deviations of the noise BM3D is told: what lens and shutter leave is mostly outliers, which it keeps
+otherwise. On a part of a rendered frame with 4 samples in each pixel, 1 gave 22 dB and 5 gave 28 dB."""
 LEAST_SIGMA = 1e-3
 """Least standard deviation of the noise that BM3D is told, on log(1 + radiance): it divides by it."""
 
@@ -34,7 +37,7 @@ def _bm3d(colour: Image) -> npt.NDArray[np.floating]:
     """Denoise linear colours (H, W, 3) with package bm3d, on log(1 + radiance)."""
     package = _package("bm3d", "bm3d")
     shown = np.log1p(np.maximum(colour, 0))
-    return np.asarray(np.expm1(package.bm3d_rgb(shown, max(noise_deviation(shown), LEAST_SIGMA))))
+    return np.asarray(np.expm1(package.bm3d_rgb(shown, max(OUTLIERS * noise_deviation(shown), LEAST_SIGMA))))
 
 
 def _oidn(colour: Image) -> npt.NDArray[np.floating]:
@@ -62,8 +65,8 @@ def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, dict[str, A
     image : ndarray of shape (H, W, 4), float32
         Linear, premultiplied; alpha stays as it is.
     method : {"bm3d", "oidn"}
-        BM3D (free for non-commercial use only), with the noise's deviation estimated from the image; or Open Image
-        Denoise.
+        BM3D (free for non-commercial use only), told `OUTLIERS` times the deviation of the image's noise; or Open
+        Image Denoise.
     clock : Clock
         Where the time is added.
 

@@ -46,6 +46,16 @@ def test_kernel_modules_import_only_numpy_numba_math(name):
     assert {module.split(".")[0] for module in modules} <= {"numpy", "numba", "math", "__future__"}
 
 
+def test_nothing_but_the_facade_imports_the_layered_reconstructions_and_it_only_when_asked():
+    others = [name for name in product_files() if not name.startswith("runtime/sheared/")]
+    users = [name for name in others if any(m.startswith("runtime.sheared") for m in imported_modules(ROOT / name))]
+    assert users == ["spreadlets/api.py"]
+    top = [
+        node for node in ast.parse((ROOT / users[0]).read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
+    assert not [node for node in top if "sheared" in ast.unparse(node)]
+
+
 def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, spreadlets; print([m for m in ('numpy', 'numba', 'h5py', 'OpenEXR') if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -18,6 +18,10 @@ LARGEST_SIGMA = REACH / 2
 AXIS_ALIGNED_SHARE = 0.5
 """1 / k of Mehta et al., with SLR's k = 2: preserves the tail of the lens's spectrum."""
 
+ENOUGH = 300.0
+"""Samples that a screen filter is to hold: ``4 pi screen^2`` px hold what a Gaussian's mean amounts to. Between 100 and
+no limit at all, the three frames of `benchmarks/sheared.py` differ by less than a decibel."""
+
 Aperture = Literal["disc", "gaussian"]
 APERTURES: tuple[Aperture, ...] = ("disc", "gaussian")
 SIGMA_LENS = {"disc": 0.5, "gaussian": 1.0 / 3.0}
@@ -113,7 +117,13 @@ def axis_aligned_filters(
     return _filters(np.zeros_like(screen), screen, np.full_like(screen, sigma_lens))
 
 
-def with_uniform_lens(filters: Filters, near: npt.ArrayLike, far: npt.ArrayLike) -> Filters:
+def with_uniform_lens(
+    filters: Filters,
+    near: npt.ArrayLike,
+    far: npt.ArrayLike,
+    samples_per_pixel: float,
+    sigma_pixel: float = SIGMA_PIXEL,
+) -> Filters:
     """Return filters for samples spread evenly over a round aperture, which all weigh the same.
 
     Parameters
@@ -122,6 +132,10 @@ def with_uniform_lens(filters: Filters, near: npt.ArrayLike, far: npt.ArrayLike)
         Set up for a Gaussian of the disc's variance, ``SIGMA_LENS["disc"]``.
     near, far : array_like of shape (L,)
         Range of CoC that they were set up for.
+    samples_per_pixel : float
+        > 0.
+    sigma_pixel : float
+        Standard deviation of the pixel filter, px.
 
     Returns
     -------
@@ -132,16 +146,22 @@ def with_uniform_lens(filters: Filters, near: npt.ArrayLike, far: npt.ArrayLike)
     This is ours. The weights that the sheared filter asks for are wider than the aperture, and samples end at its rim:
     with them, and more so with weights of the aperture's own width, the blur would be narrower than the disc's. All
     samples weigh the same instead, and the shear is what gives the blur of the layer's slope its variance,
-    ``screen^2 + (slope - shear)^2 / 4 = slope^2 / 4``. What the shear leaves of the disc keeps its shape.
+    ``screen^2 + (slope - shear)^2 / 4 = slope^2 / 4``. What the shear leaves of the disc keeps its shape, so the screen
+    filter is no wider than it takes to hold `ENOUGH` samples, or than the axis-aligned one. The pixel filter is added,
+    as LRDM does: SLR has none where the lens blurs by more than a pixel, and leaves the grain of single samples there.
     """
     c_near, c_far = np.asarray(near, np.float64), np.asarray(far, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.where(c_near * c_far > 0.0, 2.0 / (1.0 / c_near + 1.0 / c_far), 0.0)
     own = np.abs(slope) * SIGMA_LENS["disc"]
-    rest = np.sqrt(np.maximum(own**2 - np.float64(filters.screen) ** 2, 0.0)) / SIGMA_LENS["disc"]
-    transformed = (filters.shear != 0.0) & np.isfinite(filters.lens) & (filters.screen < own)
+    transformed = (filters.shear != 0.0) & (filters.screen < own)
+    enough = np.sqrt(ENOUGH / (4.0 * np.pi * samples_per_pixel))
+    screen = np.minimum(filters.screen.astype(np.float64), np.maximum(AXIS_ALIGNED_SHARE * own, enough))
+    rest = np.sqrt(np.maximum(own**2 - screen**2, 0.0)) / SIGMA_LENS["disc"]
     shear = np.where(transformed, np.sign(slope) * (np.abs(slope) - rest), filters.shear)
-    return _filters(shear, filters.screen, np.full(shear.shape, np.inf))
+    return _filters(
+        shear, np.where(transformed, np.hypot(screen, sigma_pixel), filters.screen), np.full(shear.shape, np.inf)
+    )
 
 
 def _filters(shear: Array, screen: npt.NDArray[np.floating], lens: Array) -> Filters:

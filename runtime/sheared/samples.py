@@ -86,6 +86,11 @@ class Samples:
         )
         return samples if defocus and motion else samples._without(defocus=defocus, motion=motion)
 
+    @property
+    def per_pixel(self) -> float:
+        """Mean number of samples in a pixel."""
+        return len(self.coc) / (self.shape[0] * self.shape[1])
+
     def _without(self, *, defocus: bool, motion: bool) -> Samples:
         """Return the samples moved to where they lie without an effect, in their new order."""
         place, coc, path = self.place, self.coc, self.motion

@@ -26,6 +26,8 @@ from runtime.sheared.samples import Samples
 from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
 from spreadlets.errors import InvalidParameterError
 
+LEAST_PER_PIXEL = 1e-3
+"""Mean number of samples in a pixel below which a buffer is as good as empty."""
 HEADROOM = 4.0
 """How many times the mean number of samples fixed point has room for in a pixel."""
 
@@ -81,11 +83,13 @@ class Slr:
         farthest = LARGEST_SIGMA / (2.0 * SIGMA_LENS[self.aperture])  # of Eq. 22: where c = sigma_x / sigma_u
         return Tiling(shape, REACH + CELL * int(np.ceil(farthest / CELL)), self.tile)
 
-    def filters(self, layers: Layers) -> Filters:
+    def filters(self, layers: Layers, samples_per_pixel: float) -> Filters:
         """Set up the filter of each layer."""
         make = sheared_filters if self.sheared else axis_aligned_filters
         found = make(layers.near, layers.far, SIGMA_LENS[self.aperture], self.sigma_pixel)
-        return with_uniform_lens(found, layers.near, layers.far) if self.aperture == "disc" else found
+        if self.aperture == "gaussian":
+            return found
+        return with_uniform_lens(found, layers.near, layers.far, samples_per_pixel, self.sigma_pixel)
 
     def prepare(self, samples: Samples, tiling: Tiling) -> _SlrTiles:
         """Find the layers of each tile and set their filters up."""
@@ -95,7 +99,14 @@ class Slr:
         if self.fixed_point:
             samples, steps = _fixed_point(samples)
         layers = find_layers(samples, partition, partitioning, tiling, actual_range=self.actual_range)
-        return _SlrTiles(samples, partition, layers, self.filters(layers), tiling, (self.bilinear, np.float32(steps)))
+        return _SlrTiles(
+            samples,
+            partition,
+            layers,
+            self.filters(layers, max(samples.per_pixel, LEAST_PER_PIXEL)),
+            tiling,
+            (self.bilinear, np.float32(steps)),
+        )
 
 
 def _fixed_point(samples: Samples) -> tuple[Samples, float]:
@@ -104,8 +115,8 @@ def _fixed_point(samples: Samples) -> tuple[Samples, float]:
     A pixel's weights add up to 8 bits at most; `HEADROOM` times the usual number of samples may be reprojected to it.
     """
     colour = np.rint(np.clip(samples.colour, 0.0, 1.0) * np.float32(_slr_kernels.COLOUR_LEVELS))
-    per_pixel = max(len(samples.coc) / (samples.shape[0] * samples.shape[1]), 1.0)
-    return replace(samples, colour=colour), max(np.floor(_slr_kernels.WEIGHT_LEVELS / (HEADROOM * per_pixel)), 1.0)
+    steps = np.floor(_slr_kernels.WEIGHT_LEVELS / (HEADROOM * max(samples.per_pixel, 1.0)))
+    return replace(samples, colour=colour), max(steps, 1.0)
 
 
 @dataclass(frozen=True)
@@ -125,9 +136,9 @@ class _SlrTiles:
 
     def fill(self, image: Image) -> None:
         """Fill an image, tile by tile."""
-        run(self.fill_tile, len(self.boxes[0]), image)
+        run(self._fill_tile, len(self.boxes[0]), image)
 
-    def fill_tile(self, tile: int, image: Image) -> None:
+    def _fill_tile(self, tile: int, image: Image) -> None:
         """Fill the pixels of a tile."""
         given, here = self.samples, slice(*self.layers.first[tile : tile + 2])
         _slr_kernels.filter_tile(

@@ -157,14 +157,19 @@ def test_axis_aligned_filters_end_at_the_least_coc_or_the_pixel():
 
 
 @pytest.mark.parametrize(("near", "far"), [(3.0, 4.5), (-9.0, -4.0), (20.0, 33.0), (70.0, 80.0)])
-def test_with_a_uniform_lens_the_blur_has_the_variance_of_the_disc_s(near, far):
-    made = with_uniform_lens(sheared_filters([near], [far], SIGMA_LENS["disc"]), [near], [far])
+@pytest.mark.parametrize("samples_per_pixel", [0.5, 4.0, 64.0])
+def test_with_a_uniform_lens_the_blur_has_the_variance_of_the_disc_s_and_the_pixel_s(near, far, samples_per_pixel):
+    made = sheared_filters([near], [far], SIGMA_LENS["disc"])
+    made = with_uniform_lens(made, [near], [far], samples_per_pixel, sigma_pixel=0.4)
     slope = 2 / (1 / near + 1 / far)
     rng = np.random.default_rng(1)
     lens = on_disc(rng, 400_000)[:, 0]
     blur = (slope - made.shear[0]) * lens + made.screen[0] * rng.standard_normal(lens.size)
-    assert np.std(blur) == pytest.approx(np.std(slope * lens), rel=5e-3)
-    assert made.screen[0] > 1.0
+    assert np.std(blur) == pytest.approx(np.hypot(np.std(slope * lens), 0.4), rel=5e-3)
+    axis_aligned = axis_aligned_filters([near], [far], SIGMA_LENS["disc"], sigma_pixel=0.4)
+    assert made.screen[0] > 0.9 * min(axis_aligned.screen[0], 4.0)
+    few = with_uniform_lens(sheared_filters([near], [far], SIGMA_LENS["disc"]), [near], [far], 0.1, sigma_pixel=0.4)
+    assert made.screen[0] <= few.screen[0]
     assert np.isinf(made.lens[0])
 
 
@@ -289,7 +294,7 @@ def test_tiles_are_what_every_pixel_gathers_from_every_sample(aperture):
     partitioning = Partitioning.of_constant_energy()
     near, far = partitioning.bounds()
     made = sheared_filters(near, far, SIGMA_LENS[aperture])
-    filters = with_uniform_lens(made, near, far) if aperture == "disc" else made
+    filters = with_uniform_lens(made, near, far, samples.per_pixel) if aperture == "disc" else made
     expected = reconstruct_naive(samples, partitioning.of(samples), filters, REACH)
     image = np.zeros((*given.shape, 4), np.float32)
     tiling = method.tiling(given.shape)
@@ -346,6 +351,13 @@ def test_a_pixel_without_any_sample_near_is_empty():
     image = reconstruct(partly, CAMERA, method="sheared")
     np.testing.assert_array_equal(image[:, 13:17], 0)
     np.testing.assert_allclose(image[:, :9], 1, rtol=1e-6)
+
+
+def test_a_buffer_without_samples_is_an_empty_image():
+    given = random_buffer(np.random.default_rng(8))
+    parts = given.depth, given.motion, given.lens_uv, given.time, given.offset
+    empty = SampleBuffer(given.radiance, *parts, valid=np.zeros(given.depth.shape, bool))
+    np.testing.assert_array_equal(reconstruct(empty, CAMERA, method="sheared"), 0)
 
 
 # Tiles
@@ -415,7 +427,7 @@ def test_the_image_is_the_same_for_any_number_of_threads():
     tiles = method.prepare(samples, tiling)
     backwards = np.zeros((*given.shape, 4), np.float32)
     for tile in reversed(range(len(tiling.inner()))):
-        tiles.fill_tile(tile, backwards)
+        tiles._fill_tile(tile, backwards)
     for image in images:
         np.testing.assert_array_equal(image, backwards)
 
@@ -607,7 +619,8 @@ def test_denoisers_are_given_the_mean_of_the_samples(monkeypatch):
     assert report["time_s"]["total"] > 0
     np.testing.assert_allclose(reconstruct(given, CAMERA, method="bm3d")[..., :3], 0.25, rtol=1e-6)
     np.testing.assert_allclose(calls["bm3d"][0], np.log1p(mean[..., :3]), rtol=1e-6)
-    assert calls["bm3d"][1] == pytest.approx(runtime.denoise.noise_deviation(np.log1p(mean[..., :3])))
+    deviation = runtime.denoise.noise_deviation(np.log1p(mean[..., :3]))
+    assert calls["bm3d"][1] == pytest.approx(runtime.denoise.OUTLIERS * deviation)
 
 
 def test_filters_are_named_tuples_of_one_value_for_each_layer():
