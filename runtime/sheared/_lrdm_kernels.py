@@ -267,18 +267,12 @@ def filter_extents(m, spread, pixel, moving, scratch):
 
 
 @Kernel
-def may_merge(nearer, farther, spread, pixel, moving, shrink, scratch):
-    """Return whether the filter of two partitions together is at most some share smaller than that of either.
+def together(nearer, farther):
+    """Return the moments of two partitions that count alike, however many samples they have.
 
-    Both count alike, however many samples they have: else a few samples of one would not be seen in the other. Both
-    axes are compared: a moving and a still surface together may have a filter of the same area that suits neither.
+    If they counted by their samples, the few of one would be lost among the many of the other.
     """
-    both = 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
-    longer, shorter = filter_extents(both, spread, pixel, moving, scratch)
-    longer_1, shorter_1 = filter_extents(nearer, spread, pixel, moving, scratch)
-    longer_2, shorter_2 = filter_extents(farther, spread, pixel, moving, scratch)
-    keep = 1.0 - shrink
-    return longer >= keep * max(longer_1, longer_2) and shorter >= keep * max(shorter_1, shorter_2)
+    return 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
 
 
 @Kernel
@@ -305,16 +299,27 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
     """
     scratch = np.empty(N_FILTER)
     n_used, n_layers = 0, 0
+    keep, last_longer, last_shorter = 1.0 - shrink, 0.0, 0.0
     for p in range(moments.shape[0]):
         own[p], holes[p] = -1, n_layers
         if moments[p, COUNT] == 0.0:
             continue
         n_used += 1
         last = n_layers - 1
-        met_nothing = p == moments.shape[0] - 1
-        mergeable = shrink >= 0.0 and last >= 0 and not met_nothing
-        if mergeable and may_merge(moments[last], moments[p], spread, pixel, moving, shrink, scratch):
+        merge = False
+        if shrink >= 0.0 and p < moments.shape[0] - 1:
+            # Both axes are compared: a moving and a still surface together may have a filter of the same area.
+            longer, shorter = filter_extents(moments[p], spread, pixel, moving, scratch)
+            if last >= 0:
+                both = together(moments[last], moments[p])
+                longer_both, shorter_both = filter_extents(both, spread, pixel, moving, scratch)
+                merge = longer_both >= keep * max(longer, last_longer) and shorter_both >= keep * max(
+                    shorter, last_shorter
+                )
+            last_longer, last_shorter = longer, shorter
+        if merge:
             moments[last] += moments[p]
+            last_longer, last_shorter = filter_extents(moments[last], spread, pixel, moving, scratch)
         else:
             moments[n_layers] = moments[p]
             n_layers += 1

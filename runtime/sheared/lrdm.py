@@ -355,6 +355,10 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
 def in_parts(work: Work, n: int, size: int) -> None:
     """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
+    if min(numba.get_num_threads(), len(parts)) <= 1:
+        for part in parts:
+            work(*part)
+        return
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done in [pool.submit(work, *part) for part in parts]:
             done.result()
