@@ -1,22 +1,22 @@
 """The layered reconstructions of SLR (`runtime.sheared`) on three rendered frames, and on cases whose answer is known.
 
-    python benchmarks/sheared.py [--frames DIR]
+    python benchmarks/sheared.py [--frames DIR] [--tables quality settings seams speed]
 
-Similarity of displayed images in dB (PSNR) and as SSIM. Several tables:
+Similarity of displayed images in dB (PSNR) and as SSIM. The tables:
 
-- defocus and motion: the renderer's samples against its converged image;
-- at rest: samples with defocus only, traced through the frames' depth layers (hidden surfaces there), against the mean
-  of 512 of them in each pixel;
-- moved: the renderer's samples, moved to mid-shutter, against its converged defocus;
-- settings; intermediate sums in fixed point (SLR Table I) against float on the same 8-bit displayed colours; tiles of
-  64 px against 32 px;
-- time for 1280 x 720 px at 16 samples per pixel, two threads, the frame's samples repeated. Wall time depends on what
+- quality: the renderer's samples against its converged image; "at rest", samples with defocus only, traced through the
+  frames' depth layers (hidden surfaces there), against the mean of 512 of them in each pixel; "moved", the renderer's
+  samples, moved to mid-shutter, against its converged defocus;
+- settings: what they change, and fixed point (SLR Table I) against float on the same 8-bit displayed colours;
+- seams: tiles of 64 px against 32 px;
+- speed: 1280 x 720 px at 16 samples per pixel, two threads, the frame's samples repeated. Wall time depends on what
   else the machine does, so the CPU time of the process is beside it.
 
-Writes sheared.txt, a picture of each frame and the visibility test of SLR Figs. 6 to 8 to benchmarks/results.
+Writes sheared_TABLE.txt, a picture of each frame and the visibility test of SLR Figs. 6 to 8 to benchmarks/results.
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
@@ -302,31 +302,29 @@ def seen_along(radius: float, blur: float, end: int) -> tuple[Image, Image]:
     return distance, np.stack([each.mean(axis=1) for each in (red, green, green & ~red)])
 
 
+TABLES: dict[str, tuple[Callable[[Report, Scene], None], tuple[str, ...]]] = {
+    "quality": (quality, ("", *(f"dB at {n}" for n in COUNTS), *(f"SSIM at {n}" for n in COUNTS))),
+    "settings": (knobs, ("sheared, 4 samples", "dB", "SSIM", "layers/tile")),
+    "seams": (seams, ("64 px tiles against 32 px", "mean", "99.9 %", "largest", "borders")),
+    "speed": (speed, ("1280 x 720, 16 samples", "wall s", "CPU s", "layers/tile", "goal")),
+}
+"""What makes each table, and its head. Differences are in steps of 8 bits; borders are the error's steps there."""
+
+
 def main() -> None:
-    given = parser(__doc__).parse_args()
+    options = parser(__doc__)
+    options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
+    given = options.parse_args()
     numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     visibility(RESULTS / "sheared_visibility.png")
     found = scenes(given.frames)
-    if not found:
-        return
-    report = Report()
-    report.row("", *(f"dB at {n}" for n in COUNTS), *(f"SSIM at {n}" for n in COUNTS))
-    for scene in found:
-        quality(report, scene)
-    report.row("sheared, 4 samples", "dB", "SSIM", "layers/tile")
-    for scene in found:
-        knobs(report, scene)
-    report.add()
-    report.row(
-        "64 px tiles against 32 px", "mean", "99.9 %", "largest", "borders", "  8-bit steps; error's steps there"
-    )
-    for scene in found:
-        seams(report, scene)
-    report.add()
-    report.row("1280 x 720, 16 samples", "wall s", "CPU s", "layers/tile", "goal")
-    for scene in found:
-        speed(report, scene)
-    report.save("sheared.txt")
+    for name in given.tables if found else ():
+        make, head = TABLES[name]
+        report = Report()
+        report.row(*head)
+        for scene in found:
+            make(report, scene)
+        report.save(f"sheared_{name}.txt")
 
 
 if __name__ == "__main__":

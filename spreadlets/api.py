@@ -278,6 +278,20 @@ def _without_splatting(
     return image, figures
 
 
+def tune_layered_methods() -> dict[str, Any]:
+    """Find how the work of the methods ``lrdm``, ``lrdm-sheared`` and ``lrdm-ewa`` is best divided on this machine.
+
+    Returns
+    -------
+    dict
+        ``file`` where the ``work_sizes`` are kept, and ``time_ms`` by step and size.
+    """
+    from runtime.sheared.tune import tune
+
+    sizes, times = tune()
+    return {"file": str(sizes.save()), "work_sizes": vars(sizes), "time_ms": times}
+
+
 def _check_method(method: str, allowed: Sequence[str]) -> None:
     if method not in allowed:
         raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")

@@ -458,13 +458,9 @@ def tune(as_json: bool) -> None:
 
     Example: spreadlets tune
     """
-    from dataclasses import asdict
+    from spreadlets.api import tune_layered_methods
 
-    from runtime.sheared.tune import tune as measure
-
-    sizes, times = measure()
-    path = sizes.save()
-    _print({"file": str(path), "work_sizes": asdict(sizes), "time_ms": times}, as_json)
+    _print(tune_layered_methods(), as_json)
 
 
 def _assigned(assignments: tuple[str, ...]) -> dict[str, object]:

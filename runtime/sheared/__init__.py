@@ -18,6 +18,9 @@ How the parts fit together, in the order of the work:
 5. A `method.Method` sets up one filter per layer, in vectorised NumPy over all layers of all tiles, and fills an image
    with compiled kernels that hold no lock. `method.run` calls them for every tile, in threads; tiles write different
    pixels, so the image is the same for any number of threads.
+   `lrdm.Lrdm` works in blocks of tiles instead, step by step: set-up (with statistics and layers of its own, which know
+   motion), reprojection and the first pass of the screen filters in `_lrdm_kernels` and `_gauss_kernels`, then the
+   second pass and compositing.
 6. `reconstruct.METHODS` names the methods; `reconstruct.reconstruct` is what the public function calls.
 
 What the kernels of methods share is in `_tile_kernels`: `blur` (the screen filter, the same along x and y), `composite`

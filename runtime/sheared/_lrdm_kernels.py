@@ -58,17 +58,29 @@ def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
 
 
 @Kernel
-def add_moments(moments, p, coc, motion):
-    """Add a sample to the moments (P, N_MOMENTS) of a partition."""
+def add_moments(moments, p, weight, coc, motion):
+    """Add a sample, or one that stands for several, to the moments (P, N_MOMENTS) of a partition."""
     c, x, y = np.float64(coc), np.float64(motion[0]), np.float64(motion[1])
-    moments[p, COUNT] += 1.0
-    moments[p, COC] += c
-    moments[p, COC_2] += c * c
-    moments[p, MX] += x
-    moments[p, MY] += y
-    moments[p, MXX] += x * x
-    moments[p, MXY] += x * y
-    moments[p, MYY] += y * y
+    moments[p, COUNT] += weight
+    moments[p, COC] += weight * c
+    moments[p, COC_2] += weight * c * c
+    moments[p, MX] += weight * x
+    moments[p, MY] += weight * y
+    moments[p, MXX] += weight * x * x
+    moments[p, MXY] += weight * x * y
+    moments[p, MYY] += weight * y * y
+
+
+@Kernel
+def sum_spread(lens, time, begin, end, sums):
+    """Fill ``sums`` (4,) with sums of squares of samples begin to end - 1, and the largest; see `LENS_VARIANCE`."""
+    sums[:] = 0.0
+    for i in range(begin, end):
+        u, v, t = np.float64(lens[i, 0]), np.float64(lens[i, 1]), np.float64(time[i])
+        sums[LENS_VARIANCE] += 0.5 * (u * u + v * v)
+        sums[TIME_VARIANCE] += t * t
+        sums[LENS_REACH] = max(sums[LENS_REACH], abs(u), abs(v))
+        sums[TIME_REACH] = max(sums[TIME_REACH], abs(t))
 
 
 @Kernel
@@ -81,8 +93,23 @@ def next_random(state):
 
 
 @Kernel
-def tile_moments(samples, box, order, stride, seed, moving, moments):
-    """Sum the moments of a tile's partitions, over all samples or one of every so many.
+def below(random, limit):
+    """Return a number from 0 to ``limit - 1`` for a random one of 32 bits."""
+    return np.int64((np.uint64(random) * np.uint64(limit)) >> np.uint64(32))
+
+
+@Kernel
+def bits_of(partition, begin, end):
+    """Return a word with a bit for each partition that some samples are in; those 32 apart share theirs."""
+    found, one, last = np.uint32(0), np.uint32(1), np.uint32(31)
+    for i in range(begin, end):
+        found |= one << (np.uint32(partition[i]) & last)
+    return found
+
+
+@Kernel
+def full_moments(samples, box, moving, only, moments):
+    """Sum the moments of a tile's partitions over all samples, or those of some partitions.
 
     Parameters
     ----------
@@ -90,72 +117,58 @@ def tile_moments(samples, box, order, stride, seed, moving, moments):
         partition (N,), motion (N, 2), coc (N,), first (H * W + 1,), and the image's width.
     box : ndarray of shape (4,), int32
         Top, left, bottom, right of the tile, px.
-    order : ndarray of shape (T * T, 2), int16
-        Rows and columns of a tile's pixels in Morton order.
-    stride : int
-        One sample of every bucket of so many in that order is taken, at random.
-    seed : uint32
-        Not 0.
     moving : bool
         Whether motion is summed.
+    only : ndarray of shape (P,), bool
+        Which partitions count; rows of pixels without any are passed over.
     moments : ndarray of shape (P, N_MOMENTS), float64
-        Zero; filled.
+        Added to.
     """
     partition, motion, coc, first, width = samples
     top, left, bottom, right = box
-    state = np.uint32(seed)
     still = np.zeros(2, np.float32)
-    wanted, passed = np.int64(0), np.int64(0)
-    if stride > 1:
+    numbers = np.flatnonzero(only)
+    wanted = bits_of(numbers, 0, numbers.size)
+    for row in range(top, bottom):
+        begin, end = first[row * width + left], first[row * width + right]
+        if numbers.size < only.size and bits_of(partition, begin, end) & wanted == np.uint32(0):
+            continue
+        for i in range(begin, end):
+            if only[partition[i]]:
+                add_moments(moments, partition[i], 1.0, coc[i], motion[i] if moving else still)
+
+
+@Kernel
+def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
+    """Sum the moments of a tile's partitions over one sample of every so many pixels.
+
+    Parameters
+    ----------
+    samples, box, moving, moments
+        As for `full_moments`.
+    order : ndarray of shape (T * T, 2), int16
+        Rows and columns of a tile's pixels in Morton order.
+    sparsity : int
+        Pixels in a bucket, from which one sample is taken at random; it stands for all of them.
+    seed : uint32
+        Not 0.
+    """
+    partition, motion, coc, first, width = samples
+    top, left, bottom, right = box
+    still = np.zeros(2, np.float32)
+    state = np.uint32(seed)
+    for bucket in range(0, order.shape[0], sparsity):
         state = next_random(state)
-        wanted = np.int64(state % np.uint32(stride))
-    bucket = np.int64(0)
-    for k in range(order.shape[0]):
+        k = bucket + below(state, min(sparsity, order.shape[0] - bucket))
         row, col = top + order[k, 0], left + order[k, 1]
         if row >= bottom or col >= right:
             continue
         begin = first[row * width + col]
         here = first[row * width + col + 1] - begin
-        while wanted < passed + here:
-            i = begin + wanted - passed
-            add_moments(moments, partition[i], coc[i], motion[i] if moving else still)
-            if stride > 1:
-                bucket += stride
-                state = next_random(state)
-                wanted = bucket + np.int64(state % np.uint32(stride))
-            else:
-                wanted += 1
-        passed += here
-
-
-@Kernel
-def add_missed(samples, box, moving, moments):
-    """Add all samples of the partitions that sparse statistics have missed: few, so they cost little.
-
-    Parameters
-    ----------
-    samples, box, moving, moments
-        As for `tile_moments`, which has filled the moments.
-    """
-    partition, motion, coc, first, width = samples
-    top, left, bottom, right = box
-    still = np.zeros(2, np.float32)
-    missed = moments[:, COUNT] == 0.0
-    one, last_bit = np.uint64(1), np.uint64(63)
-    wanted = np.uint64(0)  # a bit for each partition; those beyond 63 share theirs
-    for p in range(missed.size):
-        if missed[p]:
-            wanted |= one << (np.uint64(p) & last_bit)
-    for row in range(top, bottom):
-        begin, end = first[row * width + left], first[row * width + right]
-        here = np.uint64(0)
-        for each in partition[begin:end]:
-            here |= one << (np.uint64(each) & last_bit)
-        if here & wanted == np.uint64(0):
-            continue
-        for i in range(begin, end):
-            if missed[partition[i]]:
-                add_moments(moments, partition[i], coc[i], motion[i] if moving else still)
+        if here > 0:
+            state = next_random(state)
+            i = begin + below(state, here)
+            add_moments(moments, partition[i], np.float64(here * sparsity), coc[i], motion[i] if moving else still)
 
 
 @Kernel
@@ -254,18 +267,12 @@ def filter_extents(m, spread, pixel, moving, scratch):
 
 
 @Kernel
-def may_merge(nearer, farther, spread, pixel, moving, shrink, scratch):
-    """Return whether the filter of two partitions together is at most some share smaller than that of either.
+def together(nearer, farther):
+    """Return the moments of two partitions that count alike, however many samples they have.
 
-    Both count alike, however many samples they have: else a few samples of one would not be seen in the other. Both
-    axes are compared: a moving and a still surface together may have a filter of the same area that suits neither.
+    If they counted by their samples, the few of one would be lost among the many of the other.
     """
-    both = 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
-    longer, shorter = filter_extents(both, spread, pixel, moving, scratch)
-    longer_1, shorter_1 = filter_extents(nearer, spread, pixel, moving, scratch)
-    longer_2, shorter_2 = filter_extents(farther, spread, pixel, moving, scratch)
-    keep = 1.0 - shrink
-    return longer >= keep * max(longer_1, longer_2) and shorter >= keep * max(shorter_1, shorter_2)
+    return 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
 
 
 @Kernel
@@ -292,16 +299,27 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
     """
     scratch = np.empty(N_FILTER)
     n_used, n_layers = 0, 0
+    keep, last_longer, last_shorter = 1.0 - shrink, 0.0, 0.0
     for p in range(moments.shape[0]):
         own[p], holes[p] = -1, n_layers
         if moments[p, COUNT] == 0.0:
             continue
         n_used += 1
         last = n_layers - 1
-        met_nothing = p == moments.shape[0] - 1
-        mergeable = shrink >= 0.0 and last >= 0 and not met_nothing
-        if mergeable and may_merge(moments[last], moments[p], spread, pixel, moving, shrink, scratch):
+        merge = False
+        if shrink >= 0.0 and p < moments.shape[0] - 1:
+            # Both axes are compared: a moving and a still surface together may have a filter of the same area.
+            longer, shorter = filter_extents(moments[p], spread, pixel, moving, scratch)
+            if last >= 0:
+                both = together(moments[last], moments[p])
+                longer_both, shorter_both = filter_extents(both, spread, pixel, moving, scratch)
+                merge = longer_both >= keep * max(longer, last_longer) and shorter_both >= keep * max(
+                    shorter, last_shorter
+                )
+            last_longer, last_shorter = longer, shorter
+        if merge:
             moments[last] += moments[p]
+            last_longer, last_shorter = filter_extents(moments[last], spread, pixel, moving, scratch)
         else:
             moments[n_layers] = moments[p]
             n_layers += 1
@@ -318,10 +336,10 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
     Parameters
     ----------
     samples, order
-        As for `tile_moments`.
+        As for `sparse_moments`.
     boxes : ndarray of shape (T, 4), int32
     sampling : tuple
-        Stride and seed.
+        Pixels of a bucket, 0 for full statistics; and seed.
     spread
         As for `set_up`.
     settings : tuple
@@ -332,14 +350,15 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
     """
     pixel, largest, moving, shrink = settings
     own, holes, filters, counts = tables
-    stride, seed = sampling
+    sparsity, seed = sampling
     moments = np.empty((own.shape[1], N_MOMENTS))
     for tile in range(begin, end):
         moments[:] = 0.0
         state = next_random(np.uint32(seed + tile * 2654435761 | 1))
-        tile_moments(samples, boxes[tile], order, stride, state, moving, moments)
-        if stride > 1:
-            add_missed(samples, boxes[tile], moving, moments)
+        if sparsity > 0:
+            sparse_moments(samples, boxes[tile], order, sparsity, state, moving, moments)
+        # What sparse statistics have missed is rare: all of it counts, else it would be lost.
+        full_moments(samples, boxes[tile], moving, moments[:, COUNT] == 0.0, moments)
         counts[tile, 0], counts[tile, 1] = tile_layers(
             moments, spread, pixel, largest, moving, shrink, own[tile], holes[tile], filters[tile]
         )

@@ -163,8 +163,7 @@ class Lrdm:
         shape = len(boxes), n_partitions
         own, holes = np.empty(shape, np.int16), np.empty(shape, np.int16)
         filters, counts = np.zeros((*shape, _lrdm_kernels.N_FILTER)), np.empty((len(boxes), 2), np.int32)
-        per_pixel = max(round(len(samples.coc) / (samples.shape[0] * samples.shape[1])), 1)
-        sampling = max(self.sparsity * per_pixel, 1), SEED
+        sampling = self.sparsity, SEED
         given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
         settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
 
@@ -333,17 +332,15 @@ def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
     ndarray of shape (4,)
         Variance along one axis of the lens, variance of time (frames^2), and the largest of either.
     """
-    if len(samples.time) == 0:
-        return np.zeros(4)
-    lens = 0.5 * float(np.mean(np.einsum("ij,ij->i", samples.lens, samples.lens), dtype=np.float64))
-    return np.array(
-        [
-            lens,
-            float(np.mean(samples.time.astype(np.float64) ** 2)),
-            float(np.abs(samples.lens).max()),
-            float(np.abs(samples.time).max()),
-        ]
-    )
+    n = len(samples.time)
+    sums = np.zeros((max(-(-n // SAMPLES_AT_A_TIME), 1), 4))
+
+    def work(begin: int, end: int) -> None:
+        _lrdm_kernels.sum_spread(samples.lens, samples.time, begin, end, sums[begin // SAMPLES_AT_A_TIME])
+
+    in_parts(work, n, SAMPLES_AT_A_TIME)
+    variances = sums[:, : _lrdm_kernels.LENS_REACH].sum(axis=0) / max(n, 1)
+    return np.concatenate([variances, sums[:, _lrdm_kernels.LENS_REACH :].max(axis=0)])
 
 
 @lru_cache
@@ -358,6 +355,10 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
 def in_parts(work: Work, n: int, size: int) -> None:
     """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
+    if min(numba.get_num_threads(), len(parts)) <= 1:
+        for part in parts:
+            work(*part)
+        return
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done in [pool.submit(work, *part) for part in parts]:
             done.result()

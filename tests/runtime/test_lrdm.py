@@ -181,18 +181,31 @@ def tile_samples(rng, side=32, n_samples=4):
     return Samples.from_buffer(buffer, CAMERA)
 
 
-def moments_by_kernel(samples, partition, stride, seed=7, n_partitions=33):
+def full_buffer(rng):
+    shape = 32, 32, 4
+    return SampleBuffer(
+        rng.random((*shape, 3)), np.full(shape, 4.0), rng.normal(size=(*shape, 2)), on_disc(rng, shape),
+        rng.uniform(-0.25, 0.25, shape), coc_radius=rng.uniform(-9, 9, shape),
+    )  # fmt: skip
+
+
+def given_to_statistics(samples, partition):
     given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
-    box, order = np.array([0, 0, *samples.shape], np.int32), morton_order(32)
+    return given, np.array([0, 0, *samples.shape], np.int32)
+
+
+def sparse_by_kernel(samples, partition, sparsity, seed=7, n_partitions=33):
+    given, box = given_to_statistics(samples, partition)
     moments = np.zeros((n_partitions, kernels.N_MOMENTS))
-    kernels.tile_moments(given, box, order, stride, np.uint32(seed), True, moments)
-    return moments, given, box
+    kernels.sparse_moments(given, box, morton_order(32), sparsity, np.uint32(seed), True, moments)
+    return moments
 
 
 def test_full_statistics_are_the_sums_over_every_partition(rng):
     samples = tile_samples(rng)
     partition = Lrdm().partitions(samples)
-    moments, _, _ = moments_by_kernel(samples, partition, 1)
+    moments = np.zeros((33, kernels.N_MOMENTS))
+    kernels.full_moments(*given_to_statistics(samples, partition), True, np.ones(33, np.bool_), moments)
     for p in np.unique(partition):
         here = partition == p
         expected = moments_of(samples.coc[here].astype(np.float64), samples.motion[here].astype(np.float64))
@@ -201,36 +214,39 @@ def test_full_statistics_are_the_sums_over_every_partition(rng):
 
 
 def test_sparse_statistics_take_one_sample_of_every_bucket_in_morton_order(rng):
+    samples = Samples.from_buffer(full_buffer(rng), CAMERA)
+    buckets = np.zeros(len(samples.coc), np.uint8)
+    for number, (row, col) in enumerate(morton_order(32)[:600]):  # 200 buckets of 3 pixels; the rest is one partition
+        buckets[samples.first[row * 32 + col] : samples.first[row * 32 + col + 1]] = 1 + number // 3
+    taken = [sparse_by_kernel(samples, buckets, 3, seed, n_partitions=201) for seed in (1, 2)]
+    for moments in taken:
+        np.testing.assert_array_equal(moments[1:, kernels.COUNT], 12)  # one sample stands for 3 pixels of 4
+        ours = moments[1:, kernels.COC] / 12
+        assert all(coc in samples.coc[buckets == 1 + k].astype(np.float64) for k, coc in enumerate(ours))
+    assert (taken[0][:, kernels.MX] != taken[1][:, kernels.MX]).any()
+
+
+def test_sparse_statistics_are_not_biased_by_how_many_samples_pixels_have(rng):
     samples = tile_samples(rng)
-    place = np.zeros(len(samples.coc), np.int64)  # of each sample along the curve
-    begin = 0
-    for row, col in morton_order(32):
-        i, j = samples.first[row * 32 + col], samples.first[row * 32 + col + 1]
-        place[i:j] = np.arange(begin, begin + j - i)
-        begin += j - i
-    buckets = (place // 12).astype(np.uint8)
-    taken = np.zeros(256)
-    for seed in range(1, 5):
-        moments, _, _ = moments_by_kernel(samples, buckets, 12, seed, n_partitions=256)
-        taken += moments[:, kernels.COUNT]
-    full = np.bincount(buckets, minlength=256) == 12
-    # Bucket numbers wrap around at 256.
-    expected = np.bincount(np.arange(place.size // 12) % 256, minlength=256) * 4
-    np.testing.assert_allclose(taken[full], expected[full])
-    assert np.abs(taken - expected).max() <= 4
+    partition = np.zeros(len(samples.coc), np.uint8)
+    found = sum(sparse_by_kernel(samples, partition, 3, seed, 2)[0] for seed in range(1, 400))
+    np.testing.assert_allclose(
+        found[: kernels.MX] / found[0], [1, samples.coc.mean(), (samples.coc**2).mean()], rtol=0.03
+    )
+    assert found[0] / 399 == pytest.approx(len(samples.coc), rel=0.01)
 
 
 def test_partitions_that_sparse_statistics_miss_count_with_all_their_samples(rng):
     samples = tile_samples(rng)
     partition = Lrdm().partitions(samples)
-    partition[1234] = 3
-    moments, given, box = moments_by_kernel(samples, partition, 64)
-    before = moments.copy()
+    partition[[1234, 1235]] = 3
+    before = sparse_by_kernel(samples, partition, 64)
     assert before[3, kernels.COUNT] == 0
-    kernels.add_missed(given, box, True, moments)
-    assert moments[3, kernels.COUNT] == 1 and moments[3, kernels.COC] == samples.coc[1234]
-    seen = before[:, kernels.COUNT] > 0
-    np.testing.assert_array_equal(moments[seen], before[seen])
+    moments = before.copy()
+    missed = before[:, kernels.COUNT] == 0
+    kernels.full_moments(*given_to_statistics(samples, partition), True, missed, moments)
+    np.testing.assert_allclose(moments[3, :2], [2, samples.coc[[1234, 1235]].sum()])
+    np.testing.assert_array_equal(moments[~missed], before[~missed])
 
 
 def test_the_random_numbers_are_marsaglia_s():
