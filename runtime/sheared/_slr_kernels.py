@@ -57,22 +57,27 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, options, sum
                 if bilinear:
                     col, line = int(math.floor(x)), int(math.floor(y))
                     fx, fy = np.float32(x - col), np.float32(y - line)
-                    one = np.float32(1.0)
-                    add(sums[layer], line, col, weight * (one - fy) * (one - fx), steps, colour[i], layer == own)
-                    add(sums[layer], line, col + 1, weight * (one - fy) * fx, steps, colour[i], layer == own)
-                    add(sums[layer], line + 1, col, weight * fy * (one - fx), steps, colour[i], layer == own)
-                    add(sums[layer], line + 1, col + 1, weight * fy * fx, steps, colour[i], layer == own)
+                    for below in range(2):
+                        share_y = fy if below else np.float32(1.0) - fy
+                        for right_of in range(2):
+                            share = share_y * (fx if right_of else np.float32(1.0) - fx)
+                            part = in_steps(weight * share, steps)
+                            add(sums[layer], line + below, col + right_of, part, colour[i], layer == own)
                 else:
                     line, col = int(math.floor(y + 0.5)), int(math.floor(x + 0.5))
-                    add(sums[layer], line, col, weight, steps, colour[i], layer == own)
+                    add(sums[layer], line, col, in_steps(weight, steps), colour[i], layer == own)
+
+
+@numba.njit(cache=True, fastmath=False, nogil=True)
+def in_steps(weight, steps):
+    """Return a weight as a whole number of steps in fixed point, where there are any, or else as it is."""
+    return np.float32(math.floor(weight * steps + np.float32(0.5))) if steps > np.float32(0.0) else weight
 
 
 @numba.njit(cache=True, fastmath=False, nogil=True, inline="always")
-def add(sums, row, col, weight, steps, colour, seen):
+def add(sums, row, col, weight, colour, seen):
     """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if within."""
     if 0 <= row < sums.shape[0] and 0 <= col < sums.shape[1]:
-        if steps > np.float32(0.0):
-            weight = np.float32(math.floor(weight * steps + np.float32(0.5)))
         sums[row, col, MET] += weight
         if seen:
             sums[row, col, SEEN] += weight
