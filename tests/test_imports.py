@@ -55,7 +55,7 @@ def test_kernel_modules_import_only_numpy_numba_math(name):
 def test_nothing_but_the_facade_imports_the_layered_reconstructions_and_it_only_when_asked():
     others = [name for name in product_files() if not name.startswith("runtime/sheared/")]
     users = [name for name in others if any(m.startswith("runtime.sheared") for m in imported_modules(ROOT / name))]
-    assert users == ["spreadlets/api.py", "spreadlets/cli.py"]
+    assert users == ["spreadlets/api.py"]
     top = [
         node for node in ast.parse((ROOT / users[0]).read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)
     ]
