@@ -67,7 +67,7 @@ WHY_SYNTHESIS = {
     "than the paper's, as layers are filled and the frame is continued beyond its border.",
     "coins": "Another scene of that name, with stronger bokeh, which FILTER suffers from. Times are of a CPU at 512 x "
     "512, the paper's of a GPU at four times the pixels, so SPLAT over OUR is the figure to compare: smaller here, as "
-    "our SPLAT draws runs of like pixels, too, and OUR integrates six layers.",
+    "our SPLAT draws runs of like pixels, too, and OUR integrates each of the depth layers.",
     "fence": "Not in the paper: an occluder in front of texture, made to be hard for one layer of input.",
     "rain": "The scene is not public; real glass is in docs/models.md.",
     "gear": "The scene is not public; turning motion is in benchmarks/rotation.py.",
