@@ -1,7 +1,8 @@
-"""Deep scanlines of OpenEXR files, unpacked into flat arrays, and their size, known before any of it is unpacked.
+"""What the OpenEXR library does not do: check where a file's chunks lie, and unpack deep scanlines into flat arrays.
 
-The library's binding would give an array object for every pixel and channel, gigabytes for a high-definition frame, and
-the header does not tell how many samples there are.
+The library searches for chunks that its table does not find, and may find others. Its binding would give an array object
+for every deep pixel and channel, gigabytes for a high-definition frame, and the header does not tell how many samples
+there are.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ CHANNEL_TYPES: Mapping[int, np.dtype[Any]] = {0: np.dtype("<u4"), 1: np.dtype("<
 NO_COMPRESSION, RLE, ZIPS = 0, 1, 2
 """What OpenEXR allows for deep scanlines: one line per chunk, each."""
 
+LINES_PER_CHUNK: Mapping[int, int] = {NO_COMPRESSION: 1, RLE: 1, ZIPS: 1} | dict(
+    zip(range(3, 10), (16, 32, 16, 32, 32, 32, 256), strict=True)
+)
+"""Of the compressions by their numbers, from 3 on: ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB."""
+
 _MALFORMED = (EOFError, struct.error, OSError, KeyError, ValueError, OverflowError, zlib.error)
 
 
@@ -50,9 +56,10 @@ class DeepPart:
 
 @dataclass(frozen=True)
 class _PartHeader:
-    """What a part's header says about its chunks."""
+    """What a part's header says about its chunks; `n_chunks` of tiles in a file of one part is not told."""
 
     deep: bool
+    tiled: bool
     n_chunks: int
     window: tuple[int, int, int, int]
     compression: int
@@ -79,6 +86,37 @@ def check_structure(path: str | os.PathLike[str]) -> None:
                 raise ValueError("not an OpenEXR file")
     except _MALFORMED as error:
         raise InvalidFileError(f"{path}: its header is malformed ({error})") from None
+
+
+def check_chunks(path: str | os.PathLike[str]) -> None:
+    """Check that the chunks of all flat scanlines lie where the file's tables say; tiles are left to the library.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file that the library has opened, of a size that was checked.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file ends early, or a table points to something else than its chunk.
+    """
+    try:
+        with open(path, "rb") as file:
+            multi_part, headers, offsets = _tables(file)
+            begin, end = file.tell(), os.fstat(file.fileno()).st_size
+            for part, (header, table) in enumerate(zip(headers, offsets, strict=True)):
+                lines = LINES_PER_CHUNK.get(header.compression)
+                if header.deep or header.tiled or lines is None:
+                    continue
+                for y, offset in zip(range(header.window[1], header.window[3] + 1, lines), table, strict=True):
+                    file.seek(offset)
+                    of_part = struct.unpack("<i", _exactly(file, 4))[0] if multi_part else part
+                    first, packed = struct.unpack("<2i", _exactly(file, 8))
+                    if (of_part, first) != (part, y) or offset < begin or not 0 < packed <= end - file.tell():
+                        raise ValueError(f"the lines from {y} on are not where the table says")
+    except _MALFORMED as error:
+        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
 
 
 def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
@@ -241,7 +279,8 @@ def _headers(file: BinaryIO, multi_part: bool) -> list[_PartHeader]:
 
 def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
     window: tuple[int, int, int, int] = struct.unpack("<4i", attributes["dataWindow"])
-    n_chunks = window[3] - window[1] + 1
+    compression, tiled = attributes["compression"][0], "tiles" in attributes
+    n_chunks = 0 if tiled else -((window[1] - window[3] - 1) // LINES_PER_CHUNK.get(compression, 1))
     if "chunkCount" in attributes:
         (n_chunks,) = struct.unpack("<i", attributes["chunkCount"])
     if n_chunks < 0:
@@ -255,8 +294,10 @@ def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
             raise ValueError(f"the channel {name.decode('latin-1')} is subsampled")
         types[name.decode("latin-1")] = CHANNEL_TYPES[kind]
         names = rest[16:]
+    if list(types) != sorted(types):  # pixels lie in this order, and readers sort the names
+        raise ValueError("its channels are not in alphabetical order")
     deep = attributes.get("type") == b"deepscanline"
-    return _PartHeader(deep, n_chunks, window, attributes["compression"][0], types)
+    return _PartHeader(deep, tiled, n_chunks, window, compression, types)
 
 
 def _attributes(file: BinaryIO) -> dict[str, bytes]:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.errors import InvalidFileError
-from spreadlets.exr_chunks import check_structure, deep_sample_bytes
+from spreadlets.exr_chunks import check_chunks, check_structure, deep_sample_bytes
 from spreadlets.frame import FloatArray
 
 PathLike = str | os.PathLike[str]
@@ -110,6 +110,7 @@ def read_parts(path: PathLike) -> list[Part]:
     """Return every channel of a flat file as stored, after checking what the header promises."""
     headers = read_headers(path)
     check_headers(path, headers)
+    check_chunks(path)
     file, messages = _open(path, header_only=False)
     parts = [
         Part(

@@ -6,7 +6,7 @@ import pytest
 
 from spreadlets import exr, exr_file
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
-from spreadlets.exr_chunks import check_structure
+from spreadlets.exr_chunks import check_chunks, check_structure
 from spreadlets.frame import Frame
 from spreadlets.metrics import display_encode
 
@@ -429,3 +429,31 @@ def test_a_malformed_header_is_refused_where_the_library_would_guess(tmp_path):
         exr.read_image(tmp_path / "a.exr")
     with pytest.raises(InvalidFileError, match="its header is malformed"):
         check_structure(tmp_path / "a.exr")
+
+
+def test_a_table_that_does_not_point_to_its_chunks_is_refused_where_the_library_would_search(tmp_path):
+    exr.write_image(tmp_path / "a.exr", np.random.default_rng(0).random((40, 8, 3)).astype(np.float32))
+    content = (tmp_path / "a.exr").read_bytes()
+    at = content.index(b"type\0string\0")
+    inserted = content[:at] + b"note\0string\0\3\0\0\0abc" + content[at:]
+    (tmp_path / "a.exr").write_bytes(inserted)
+    assert OpenEXR.File(str(tmp_path / "a.exr")).parts[0].channels  # the library finds chunks of its own
+    with pytest.raises(InvalidFileError, match="the lines from 0 on are not where the table says"):
+        exr.read_image(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("compression", "NO RLE ZIPS ZIP PIZ PXR24 B44 B44A DWAA DWAB".split())
+def test_chunks_of_every_compression_are_found(tmp_path, compression):
+    pixels = np.random.default_rng(0).random((300, 5)).astype(np.float32)
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Y": pixels}).write(str(tmp_path / "a.exr"))
+    check_chunks(tmp_path / "a.exr")
+
+
+def test_channels_out_of_order_are_refused(tmp_path):
+    exr.write_image(tmp_path / "a.exr", np.ones((8, 8, 3), np.float32))
+    content = (tmp_path / "a.exr").read_bytes()
+    assert content.count(b"B\0\2\0\0\0") == 1
+    (tmp_path / "a.exr").write_bytes(content.replace(b"B\0\2\0\0\0", b"H\0\2\0\0\0"))
+    with pytest.raises(InvalidFileError, match="its channels are not in alphabetical order"):
+        exr.read_image(tmp_path / "a.exr")
