@@ -1,8 +1,8 @@
-"""What the OpenEXR library does not do: check where a file's chunks lie, and unpack deep scanlines into flat arrays.
+"""What the OpenEXR library does not do: check where a file's chunks lie, and unpack deep scanlines.
 
-The library searches for chunks that its table does not find, and may find others. Its binding would give an array object
-for every deep pixel and channel, gigabytes for a high-definition frame, and the header does not tell how many samples
-there are.
+The library searches for chunks that its table does not find, and may find others. Its binding would give an array
+object for every deep pixel and channel, gigabytes for a high-definition frame, and the header does not tell how many
+samples there are.
 """
 
 from __future__ import annotations
