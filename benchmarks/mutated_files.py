@@ -36,12 +36,11 @@ import numpy as np
 RESULTS = Path(__file__).parent / "results"
 
 SHARES = {
-    "database": 0.20,
-    "database values": 0.10,
-    "database version 1": 0.15,
-    "frame": 0.15,
+    "database": 0.275,
+    "database values": 0.125,
+    "frame": 0.175,
     "samples": 0.10,
-    "deep": 0.125,
+    "deep": 0.15,
     "tlfr binary": 0.05,
     "tlfr text": 0.05,
     "lens": 0.0375,
@@ -185,16 +184,6 @@ def write_samples_of_every_kind(folder: Path) -> None:
     rng = np.random.default_rng(3)
     build_database("combined", folder / "database", samples=12, max_coc=5.0, max_motion=5.0, rays=20_000, jobs=1)
     (folder / "database values").write_bytes((folder / "database").read_bytes())
-    with h5py.File(folder / "database") as new, h5py.File(folder / "database version 1", "w") as old:
-        for name, value in new.attrs.items():
-            old.attrs[name] = value.decode() if isinstance(value, bytes) else value
-        old.attrs["version"] = 1
-        old.attrs["provenance"] = new["provenance"][...].tobytes().decode()
-        for name in set(new) - {"provenance"}:
-            points = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-            old.create_dataset(
-                name, data=new[name][...], **(points if name in ("offset_rc", "value", "statistics") else {})
-            )
     shape = 16, 24
     radiance = rng.random((*shape, 4)).astype(np.float32)
     radiance[..., :3] *= radiance[..., 3:]
@@ -438,7 +427,6 @@ def read_camera_file(path: Path, original: Path) -> None:
 READERS: dict[str, Callable[[Path, Path], Further | None]] = {
     "database": read_database,
     "database values": read_database_as_stored,
-    "database version 1": read_database_as_stored,
     "frame": read_frame_file,
     "samples": read_samples_file,
     "deep": read_deep_file,

@@ -24,7 +24,6 @@ from spreadlets.database_file import (
     STATISTICS,
     CellRecord,
     absent_record,
-    json_object,
     open_checked,
     read_rows,
     read_starts,
@@ -81,7 +80,7 @@ class Database:
         self._file = file
         self.path = path
         self.grid = _read_grid(file)
-        self.provenance: dict[str, Any] = _read_provenance(file)
+        self.provenance: dict[str, Any] = read_text(file, "provenance")
         self.cell_start = read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1, MAX_POSES)
         if not np.array_equal(np.diff(self.cell_start), self.grid.pose_counts):
             raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
@@ -303,10 +302,3 @@ def _read_grid(file: h5py.File) -> PsfGrid:
     if grid.pose_counts.sum() > MAX_SPREADLETS:
         raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_SPREADLETS} directions")
     return grid
-
-
-def _read_provenance(file: h5py.File) -> dict[str, Any]:
-    """Read how the file was made; the first version has it in an attribute."""
-    if "provenance" in file.attrs:
-        return json_object(file, "provenance", text_attribute(file, "provenance"))
-    return read_text(file, "provenance")

@@ -24,11 +24,13 @@ from spreadlets.spreadlet import Spreadlet
 
 FORMAT_NAME = "spreadlets"
 SCHEMA_VERSION = 2
-"""What is written: every dataset carries checksums, and so does HDF5's own bookkeeping."""
-READABLE_VERSIONS = (1, 2)
-"""Version 1 has checksums on the points and the statistics only, and its provenance in an attribute."""
+"""Of what is written and read: every dataset carries checksums, and so does HDF5's own bookkeeping."""
 LIBRARY_VERSION = ("v110", "v110")
 """The oldest format of HDF5's bookkeeping that has checksums throughout."""
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""What an HDF5 file begins with; a byte with the version of its bookkeeping follows."""
+FIRST_CHECKED = 2
+"""Version from which it has checksums. HDF5 can be led in circles by a damaged file of an older one."""
 
 STATISTICS = ("n_support", "sparsity", "ssim", "l1", "energy_error", "max_value_ratio", "total_variation")
 """Names of the figures that every stored spreadlet carries, in the file's column order."""
@@ -238,20 +240,35 @@ def open_checked(path: Path) -> h5py.File:
         If it is no HDF5 file, or holds what a database does not.
     """
     try:
+        _check_bookkeeping(path)
         file = h5py.File(path, "r")
+    except InvalidDatabaseError:
+        raise
     except (OSError, RuntimeError, ValueError) as error:
         raise InvalidDatabaseError(f"{path}: not a readable HDF5 file (truncated or another format)") from error
     try:
         with refusing(path):
             _check_attributes(file)
-            version = _check_version(file)
+            _check_version(file)
             for name in file:
                 _check_link(file, name)
-                _check_dataset(file, name, needs_checksum=version > 1)
+                _check_dataset(file, name)
         return file
     except InvalidDatabaseError:
         file.close()
         raise
+
+
+def _check_bookkeeping(path: Path) -> None:
+    """Refuse what is no HDF5, or HDF5 without checksums of its own, before HDF5 sees it."""
+    with open(path, "rb") as file:
+        start = file.read(len(SIGNATURE) + 1)
+    if len(start) <= len(SIGNATURE) or not start.startswith(SIGNATURE):
+        raise ValueError("no HDF5 signature")
+    if start[-1] < FIRST_CHECKED:
+        raise InvalidDatabaseError(
+            f"{path}: HDF5 of an old format, without checksums of where things are; build it anew"
+        )
 
 
 def _check_attributes(file: h5py.File) -> None:
@@ -268,16 +285,14 @@ def _check_attributes(file: h5py.File) -> None:
             raise InvalidDatabaseError(f"{file.filename}: the attribute {name!r} refers to something else")
 
 
-def _check_version(file: h5py.File) -> int:
+def _check_version(file: h5py.File) -> None:
     if text_attribute(file, "format") != FORMAT_NAME:
         raise InvalidDatabaseError(f"{file.filename}: not a spreadlet database (no format mark)")
     version = int(file.attrs.get("version", -1))
-    if version not in READABLE_VERSIONS:
+    if version != SCHEMA_VERSION:
         raise InvalidDatabaseError(
-            f"{file.filename}: database version {version}, this program reads versions "
-            f"{', '.join(map(str, READABLE_VERSIONS))}; rebuild it"
+            f"{file.filename}: database version {version}, this program reads version {SCHEMA_VERSION}; rebuild it"
         )
-    return version
 
 
 def text_attribute(file: h5py.File, name: str) -> str:
@@ -296,7 +311,7 @@ def _check_link(file: h5py.File, name: str) -> None:
         raise InvalidDatabaseError(f"{file.filename}: {name!r} is not a dataset")
 
 
-def _check_dataset(file: h5py.File, name: str, needs_checksum: bool) -> None:
+def _check_dataset(file: h5py.File, name: str) -> None:
     """Refuse a dataset whose values lie elsewhere, need a plug-in, or are more than its bytes can hold."""
     dataset = file[name]
     place = f"{file.filename}: dataset {name!r}"
@@ -308,7 +323,7 @@ def _check_dataset(file: h5py.File, name: str, needs_checksum: bool) -> None:
     filters = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
     if not set(filters) <= {GZIP, SHUFFLE, FLETCHER32} or len(set(filters)) < len(filters):
         raise InvalidDatabaseError(f"{place} needs the filters {filters}; allowed are gzip, shuffle and fletcher32")
-    if needs_checksum and FLETCHER32 not in filters:
+    if FLETCHER32 not in filters:
         raise InvalidDatabaseError(f"{place} has no checksums")
     nominal, stored = dataset.size * dataset.dtype.itemsize, dataset.id.get_storage_size()
     if dataset.chunks and int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
@@ -384,12 +399,7 @@ def read_text(file: h5py.File, name: str) -> dict[str, Any]:
     stored = file[name]
     if stored.dtype != np.uint8 or stored.ndim != 1 or stored.size > MAX_TEXT_BYTES:
         raise InvalidDatabaseError(f"{file.filename}: {name!r} is not a text of up to {MAX_TEXT_BYTES} bytes")
-    return json_object(file, name, read_rows(file, name, 0, stored.size).tobytes())
-
-
-def json_object(file: h5py.File, name: str, text: str | bytes) -> dict[str, Any]:
-    """Parse a JSON object."""
-    content = json.loads(text)
+    content = json.loads(read_rows(file, name, 0, stored.size).tobytes())
     if not isinstance(content, dict):
         raise InvalidDatabaseError(f"{file.filename}: {name!r} is not a JSON object")
     return content
