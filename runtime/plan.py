@@ -6,15 +6,18 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from runtime import _layer_kernels, _plan_kernels
+from runtime._pool_kernels import STEPS_PER_PIXEL, place_steps
 from runtime.border import Colours, border_colours, extended_pass
 from runtime.layers import DEFAULT_SOFTNESS, Layering, Membership
 from runtime.merge import merge_blocks
 from runtime.pixels import Pixels, frame_pixels
+from runtime.pool import place_samples, pool
 from runtime.splat import NO_SHIFT, PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
@@ -38,8 +41,6 @@ MOST_HIGHLIGHTS = 0.01
 """Share of the pixels up to which they are drawn in full: where there are more, they are what is to be seen."""
 HIGHLIGHT_STEP = 4
 """Every so many rows and columns are looked at for the median."""
-SHIFT_STEPS_PER_PIXEL = 16
-"""A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 WIDE_REACH = 8
 """Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
 it is the mean of many such errors that counts."""
@@ -121,6 +122,15 @@ class Plan:
         }
 
 
+class _Part(NamedTuple):
+    """The part of some pixels that lies in the nearer or in the farther of their layers."""
+
+    pixels: Pixels
+    label: npt.NDArray[np.int32]
+    weight: npt.NDArray[np.float32]
+    colours: Colours | None
+
+
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
     """Return the (cell, pose) pairs that a frame needs of a database with the given grid."""
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
@@ -151,13 +161,9 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     labels = [each.labels for each in passes]
     layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
-    wide = table.reaches > (WIDE_REACH if settings.stochastic else math.inf)
-    beyond = _border_colours(passes) if settings.border else [None] * len(passes)
-    splats = [
-        splat
-        for pixels, member, colours in zip(passes, members, beyond, strict=True)
-        for splat in _splat_passes(pixels, member, layering.n_layers, table, colours, wide)
-    ]
+    parts = _all_parts(passes, members, settings, layering.n_layers, table.n_variants)
+    pooled = settings.stochastic
+    splats = list(_pooled_passes(parts, layering.n_layers, table) if pooled else _splat_passes(parts, table))
     variation = np.tile(_variation(variants, table, database), layering.n_layers)
     merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
     plan = Plan(
@@ -296,23 +302,15 @@ def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
     return [colours[id(pixels.radiance)] for pixels in passes]
 
 
-def _splat_passes(
-    pixels: Pixels,
-    members: Membership,
-    n_layers: int,
-    table: PointTable,
-    colours: Colours | None,
-    wide: npt.NDArray[np.bool_],
-) -> Iterator[SplatPass]:
-    """Split pixels by layer, and by the fractional part of their shifts; continue them beyond the border."""
-    if not (members.variant >= 0).any():
-        return
-    for label, weight in _parts(pixels, members, n_layers, table.n_variants):
-        for share, shift in _corners(pixels.labels.shift, label, weight, wide):
-            reach = table.reaches + int(np.abs(shift).max(initial=0))
-            drawn = label if share is weight else np.where(share > 0, label, -1).astype(np.int32)
-            if (drawn >= 0).any():
-                yield extended_pass(SplatPass((0, 0), pixels.radiance, drawn, shift), share, reach, colours)
+def _all_parts(
+    passes: Sequence[Pixels], members: Sequence[Membership], settings: Settings, n_layers: int, n_variants: int
+) -> Iterator[_Part]:
+    """Yield all parts of all pixels."""
+    beyond = _border_colours(passes) if settings.border else [None] * len(passes)
+    for pixels, member, colours in zip(passes, members, beyond, strict=True):
+        if (member.variant >= 0).any():
+            for label, weight in _parts(pixels, member, n_layers, n_variants):
+                yield _Part(pixels, label, weight, colours)
 
 
 def _parts(
@@ -329,30 +327,41 @@ def _parts(
             yield label, share
 
 
-def _corners(
-    shift: npt.NDArray[np.float32] | None,
-    label: npt.NDArray[np.int32],
-    weight: npt.NDArray[np.float32],
-    wide: npt.NDArray[np.bool_],
-) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]:
-    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies.
+def _splat_passes(parts: Iterator[_Part], table: PointTable) -> Iterator[SplatPass]:
+    """Split pixels by the fractional part of their shifts, and continue them beyond the border."""
+    for pixels, label, weight, colours in parts:
+        for share, shift in _corners(pixels.labels.shift, label, weight):
+            reach = table.reaches + int(np.abs(shift).max(initial=0))
+            drawn = label if share is weight else np.where(share > 0, label, -1).astype(np.int32)
+            if (drawn >= 0).any():
+                yield extended_pass(SplatPass((0, 0), pixels.radiance, drawn, shift), share, reach, colours)
 
-    The centres of wide variants are moved to the next pixel.
-    """
+
+def _corners(
+    shift: npt.NDArray[np.float32] | None, label: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]:
+    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies."""
     if shift is None:
         yield weight, NO_SHIFT
         return
-    places = shift[..., ::-1].astype(np.float64)
-    if wide.any():
-        places = np.where(wide[label % len(wide)][..., None], np.rint(places), places)
-    steps = np.rint(places * SHIFT_STEPS_PER_PIXEL).astype(np.int64)
-    steps[label < 0] = 0
-    whole, fraction = np.divmod(steps, SHIFT_STEPS_PER_PIXEL)
-    between = (fraction / SHIFT_STEPS_PER_PIXEL).astype(np.float32)
+    steps = np.empty(shift.shape, np.int32)
+    place_steps(shift, label, np.zeros(1, np.bool_), steps)
+    whole, fraction = np.divmod(steps, STEPS_PER_PIXEL)
+    between = (fraction / STEPS_PER_PIXEL).astype(np.float32)
     for corner in np.ndindex(2, 2):
         share = np.prod(np.where(corner, between, 1 - between), axis=2)
         if (share > 0).any():
             yield share * weight if len(weight) else share, (whole + corner).astype(np.int32)
+
+
+def _pooled_passes(parts: Iterator[_Part], n_layers: int, table: PointTable) -> Iterator[SplatPass]:
+    """Place stochastic samples, and add up those that agree."""
+    wide = table.reaches > WIDE_REACH
+    placed = [
+        place_samples(each.pixels.radiance, each.weight, each.label, each.pixels.labels.shift, wide, each.colours)
+        for each in parts
+    ]
+    yield from pool(placed, table.reaches, n_layers)
 
 
 def _variation(variants: list[Variant], table: PointTable, database: Database) -> npt.NDArray[np.float32]:
