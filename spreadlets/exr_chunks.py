@@ -216,7 +216,10 @@ def _unpacked(file: BinaryIO, packed: int, size: int, compression: int) -> bytes
     if packed == size or compression == NO_COMPRESSION:
         result = block
     elif compression == ZIPS:
-        result = _reordered(zlib.decompressobj().decompress(block, size + 1))
+        stream = zlib.decompressobj()
+        result = _reordered(stream.decompress(block, size + 1))
+        if not stream.eof:  # its checksum follows the last byte
+            raise ValueError("a block goes on, or has no end")
     elif compression == RLE:
         result = _reordered(_runs(block, size))
     else:

@@ -381,6 +381,23 @@ def test_unpacking_is_the_librarys(tmp_path, compression, dtype):
         np.testing.assert_array_equal(found.channels[name], np.concatenate(values).astype(np.float32))
 
 
+@pytest.mark.parametrize("damage", ["wrong", "missing"])
+def test_a_damaged_checksum_of_packed_samples_is_found(tmp_path, damage):
+    path = tmp_path / "deep.exr"
+    write_deep(path, random_image())
+    content = bytearray(path.read_bytes())
+    if damage == "wrong":
+        content[-1] ^= 1  # the last line's samples end with it
+    else:
+        lines = random_image().counts.shape[0]
+        first = next(i for i in range(len(content)) if content[i : i + 8] == struct.pack("<Q", i + 8 * lines))
+        size = struct.unpack_from("<Q", content, first + 8 * (lines - 1))[0] + 12
+        struct.pack_into("<Q", content, size, struct.unpack_from("<Q", content, size)[0] - 4)
+    path.write_bytes(content)
+    with pytest.raises(InvalidFileError, match="truncated or corrupt"):
+        read_deep_part(path, 0)
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_damaged_deep_files_are_refused_or_read_but_nothing_else(tmp_path, seed):
     path = tmp_path / "deep.exr"
