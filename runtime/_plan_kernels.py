@@ -323,22 +323,21 @@ def extend_frame(frame, colours, reach, origin, extended):
 
     Parameters
     ----------
-    frame : tuple of four ndarrays
-        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32; shifts (H, W, 2) or
-        (0, 0, 2), int32.
+    frame : tuple of three ndarrays
+        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32.
     colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
         What lies above, below, left and right of the frame.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
     origin : tuple of two ints
         Row and column, in the frame, of the first extended pixel.
-    extended : tuple of three ndarrays
-        Colours, labels and shifts of the extended frame; filled, labels with -1 where nothing is drawn. There, colours
-        stay as they were.
+    extended : tuple of two ndarrays
+        Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours stay as
+        they were.
     """
-    radiance, share, label, shift = frame
+    radiance, share, label = frame
     above, below, before, behind = colours
-    out_radiance, out_label, out_shift = extended
+    out_radiance, out_label = extended
     height, width = label.shape
     for i in numba.prange(out_label.shape[0]):
         down = origin[0] + i
@@ -347,9 +346,6 @@ def extend_frame(frame, colours, reach, origin, extended):
             right = origin[1] + j
             col = min(max(right, 0), width - 1)
             index = label[row, col]
-            if out_shift.shape[0]:
-                out_shift[i, j, 0] = shift[row, col, 0]
-                out_shift[i, j, 1] = shift[row, col, 1]
             weight = share[row, col] if share.shape[0] else np.float32(1.0)
             distance = max(abs(down - row), abs(right - col))
             if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):

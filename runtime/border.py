@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _plan_kernels
-from runtime.splat import NO_SHIFT, SplatPass
+from runtime.splat import STRIDES, SplatPass
 
 Image = npt.NDArray[np.float32]
 Colours = tuple[Image, Image, Image, Image]
@@ -25,7 +25,7 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     Parameters
     ----------
     frame : SplatPass
-        The labelled pixels of the frame, with stride 1 and origin (0, 0).
+        The labelled pixels of the frame, unshifted, with stride 1 and origin (0, 0).
     share : ndarray of shape (H, W) or (0, 0), float32
         Weight of each pixel; empty if all are 1.
     reach : ndarray of shape (n_variants,), int64
@@ -36,25 +36,26 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     Returns
     -------
     SplatPass
-        Colours and labels are new arrays, or the frame's own where they are the same.
+        Colours and labels are new arrays, or the frame's own where they are the same. Its first column is a multiple
+        of the largest stride, as that of every pass, so that their blocks fit one canvas.
     """
     height, width = frame.label.shape
     top = bottom = left = right = 0
     if colours is not None and len(reach):
         edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
         top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
+        left += -left % STRIDES[-1]
     elif not len(share):
         return frame
     shape = top + height + bottom, left + width + right
-    shift: npt.NDArray[np.int32] = NO_SHIFT if frame.shift is NO_SHIFT else np.empty((*shape, 2), np.int32)
-    extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32), shift)
+    extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
     nothing = np.zeros((0, 4), np.float32)
     _plan_kernels.extend_frame(
-        (frame.radiance, share, frame.label, frame.shift),
+        (frame.radiance, share, frame.label),
         colours or (nothing, nothing, nothing, nothing),
         reach,
         extended.origin,
-        (extended.radiance, extended.label, extended.shift),
+        (extended.radiance, extended.label),
     )
     return extended
 

@@ -12,13 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _layer_kernels, _plan_kernels
-from runtime._pool_kernels import STEPS_PER_PIXEL, place_steps
 from runtime.border import Colours, border_colours, extended_pass
 from runtime.layers import DEFAULT_SOFTNESS, Layering, Membership
 from runtime.merge import merge_blocks
 from runtime.pixels import Pixels, frame_pixels
-from runtime.pool import place_samples, pool
-from runtime.splat import NO_SHIFT, PointTable, SplatPass
+from runtime.pool import place_pixels, pool
+from runtime.splat import PointTable, SplatPass
 from runtime.variant import SHARP, DensePsf, Variant, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
@@ -162,8 +161,7 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
     parts = _all_parts(passes, members, settings, layering.n_layers, table.n_variants)
-    pooled = settings.stochastic
-    splats = list(_pooled_passes(parts, layering.n_layers, table) if pooled else _splat_passes(parts, table))
+    splats = _splat_passes(parts, table, layering.n_layers, settings.stochastic)
     variation = np.tile(_variation(variants, table, database), layering.n_layers)
     merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
     plan = Plan(
@@ -327,41 +325,16 @@ def _parts(
             yield label, share
 
 
-def _splat_passes(parts: Iterator[_Part], table: PointTable) -> Iterator[SplatPass]:
-    """Split pixels by the fractional part of their shifts, and continue them beyond the border."""
+def _splat_passes(parts: Iterator[_Part], table: PointTable, n_layers: int, stochastic: bool) -> Iterator[SplatPass]:
+    """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
+    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
+    shifted = []
     for pixels, label, weight, colours in parts:
-        for share, shift in _corners(pixels.labels.shift, label, weight):
-            reach = table.reaches + int(np.abs(shift).max(initial=0))
-            drawn = label if share is weight else np.where(share > 0, label, -1).astype(np.int32)
-            if (drawn >= 0).any():
-                yield extended_pass(SplatPass((0, 0), pixels.radiance, drawn, shift), share, reach, colours)
-
-
-def _corners(
-    shift: npt.NDArray[np.float32] | None, label: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
-) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]:
-    """Yield weights and whole shifts (row, col) of the up to four pixels between which a splat's centre lies."""
-    if shift is None:
-        yield weight, NO_SHIFT
-        return
-    steps = np.empty(shift.shape, np.int32)
-    place_steps(shift, label, np.zeros(1, np.bool_), steps)
-    whole, fraction = np.divmod(steps, STEPS_PER_PIXEL)
-    between = (fraction / STEPS_PER_PIXEL).astype(np.float32)
-    for corner in np.ndindex(2, 2):
-        share = np.prod(np.where(corner, between, 1 - between), axis=2)
-        if (share > 0).any():
-            yield share * weight if len(weight) else share, (whole + corner).astype(np.int32)
-
-
-def _pooled_passes(parts: Iterator[_Part], n_layers: int, table: PointTable) -> Iterator[SplatPass]:
-    """Place stochastic samples, and add up those that agree."""
-    wide = table.reaches > WIDE_REACH
-    placed = [
-        place_samples(each.pixels.radiance, each.weight, each.label, each.pixels.labels.shift, wide, each.colours)
-        for each in parts
-    ]
-    yield from pool(placed, table.reaches, n_layers)
+        if pixels.labels.shift is None:
+            yield extended_pass(SplatPass((0, 0), pixels.radiance, label), weight, table.reaches, colours)
+        else:
+            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, wide, colours))
+    yield from pool(shifted, table.reaches, n_layers)
 
 
 def _variation(variants: list[Variant], table: PointTable, database: Database) -> npt.NDArray[np.float32]:

@@ -436,7 +436,9 @@ def _filtered(
     for layer in given:
         with clock.step("plan"):
             straight = replace(layer, motion_prev=None, motion_next=None)
-            passes = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
+            moved = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
+            # A filter has no place to move light to.
+            passes = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
             plan = plan_pixels(passes, database, options.settings(1, border=False))
         with clock.step("splat"):
             filtered = gather(plan.sources[0][0], plan.table) if plan.sources else np.zeros_like(image)

@@ -146,7 +146,7 @@ def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
 def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable, margin: int) -> Canvas | None:
     """Return the rectangle that holds all splats of some groups and a margin, or None if there are no splats.
 
-    Its columns fit blocks of any stride, whose passes all start at the same column.
+    Its columns fit blocks of any stride, whose passes start at columns that are multiples of the largest.
     """
     bounds = [
         _kernels.run_bounds(each.of(group), table.reaches, each.source.stride)
@@ -160,7 +160,7 @@ def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable,
         int(pick(side)) for pick, side in zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
     )
     left -= margin
-    left -= (left - sources[0].source.origin[1]) % STRIDES[-1]
+    left -= left % STRIDES[-1]
     cols = right + margin - left
     return Canvas(top - margin, left, bottom - top + 2 * margin, cols + -cols % STRIDES[-1])
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from runtime import pool as pooling
-from runtime.pool import place_samples, pool
+from runtime.pool import place_pixels, pool
 
 H, W, N_VARIANTS, N_LAYERS = 6, 9, 3, 2
 REACHES = np.array([0, 3, 7])
@@ -51,7 +51,7 @@ def naive(samples):
 
 
 def pooled(samples):
-    placed = [place_samples(*each[:4], WIDE, each[4]) for each in samples]
+    placed = [place_pixels(*each[:4], WIDE, each[4]) for each in samples]
     return list(pool(placed, REACHES, N_LAYERS))
 
 

@@ -284,6 +284,19 @@ def test_a_uniform_region_is_merged_without_error(small_combined):
     assert np.allclose(merged, exact, atol=2e-5)
 
 
+@pytest.mark.parametrize("coc", [8.0, 9.0, 10.0, 11.0])
+def test_blocks_of_several_layers_lie_where_their_pixels_do(small_combined, coc):
+    cols = np.arange(96)
+    depth = np.select([cols < 20, cols < 76], [depth_of(coc, 96), depth_of(6.3, 96)], depth_of(4.0, 96))
+    radiance = np.full((64, 96, 3), 0.7)
+    radiance[:, 48:] = 0.1
+    frame = Frame(radiance, np.tile(depth, (64, 1)))
+    exact, _ = synthesize(frame, CAMERA, small_combined, tolerance=0.0, layers=4)
+    merged, report = synthesize(frame, CAMERA, small_combined, tolerance=1e-9, layers=4)
+    assert report["plan"]["pixels_merged"] > 2000
+    assert np.allclose(merged, exact, atol=1e-4)
+
+
 def test_beyond_the_range_the_nearest_cell_is_scaled_with_a_warning(small_combined):
     frame = spot_frame(32, 32, 20.0)
     with pytest.warns(UserWarning, match=r"100.00 % of the pixels.*coc 0 to 12 px.*1.67 times"):
