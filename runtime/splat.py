@@ -78,7 +78,8 @@ class SplatPass(NamedTuple):
     Attributes
     ----------
     origin : tuple of two ints
-        Row and column of the rectangle's first pixel in the frame; negative beyond its border.
+        Row and column of the rectangle's first pixel in the frame; negative beyond its border. The column is a multiple
+        of 4 where there are blocks, see `canvas_of`.
     radiance : ndarray of shape (H, W, 4), float32
         Premultiplied colour, C-contiguous.
     label : ndarray of shape (H, W), int32

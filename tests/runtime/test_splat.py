@@ -30,7 +30,7 @@ def random_pass(rng, n_variants=5, shape=(70, 23), shift=3, stride=1):
     if shift:
         moved = rng.integers(-shift, shift + 1, (shape[0], 1, 2)).repeat(shape[1], axis=1).astype(np.int32)
         moved[:, shape[1] // 2 :] = 0
-    return SplatPass((-2, 1), radiance, label.astype(np.int32), moved, stride)
+    return SplatPass((-2, -4), radiance, label.astype(np.int32), moved, stride)
 
 
 def random_levels(rng):
