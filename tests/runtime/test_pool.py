@@ -66,6 +66,7 @@ def as_dict(splats):
     return found
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("border", [False, True])
 @pytest.mark.parametrize("n", [1, 3])
 def test_splats_are_those_of_every_sample(border, n):
