@@ -64,12 +64,60 @@ class PointTable:
         return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
 
     @cached_property
+    def lanes(self) -> Image:
+        """The values as kernels take them: (n_points, 1) for all channels, or (n_points, 4) with their mean for alpha."""
+        if self.value.shape[1] == 1:
+            return self.value
+        return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
+
+    def offsets(self, cols: int) -> npt.NDArray[np.int64]:
+        """Return the places of the points in images of ``cols`` columns: see `runtime._kernels.point_offsets`."""
+        if cols not in self._known_offsets:
+            offsets = np.empty((len(STRIDES), len(self.offset_rc)), np.int64)
+            _kernels.point_offsets(self.offset_rc, cols, offsets)
+            # Passes of a layer are drawn one after the other, each into the same image.
+            self._known_offsets.clear()
+            self._known_offsets[cols] = offsets
+        return self._known_offsets[cols]
+
+    @cached_property
+    def _known_offsets(self) -> dict[int, npt.NDArray[np.int64]]:
+        return {}
+
+    @cached_property
+    def spans(self) -> "Spans":
+        """The points of direct variants, those grouped that are neighbours in a row."""
+        row, col = self.offset_rc[np.repeat(self.direct, self.n_points)].T.astype(np.int64)
+        point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
+        breaks = np.ones(len(row), np.bool_)
+        breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
+        breaks[point_start[point_start < len(row)]] = True
+        first = np.flatnonzero(breaks)
+        start = np.append(first, len(row))
+        value = np.broadcast_to(self.lanes[np.repeat(self.direct, self.n_points)], (len(row), 4)).reshape(-1)
+        return Spans((row[first], col[first], start), value, np.searchsorted(first, point_start))
+
+    @cached_property
     def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
         """Where the points of each row of each variant begin: see `runtime._kernels.rows_of_points`."""
         base = np.concatenate([[0], np.cumsum(2 * self.reaches + 2)]).astype(np.int64)
         first = np.empty(base[-1], np.int64)
         _kernels.rows_of_points(self.offset_rc, self.point_start, self.reaches, base, first)
         return self.point_start, first, base, self.reaches
+
+
+class Spans(NamedTuple):
+    """Direct points that are neighbours in rows: see `runtime._kernels.splat_spans`."""
+
+    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+    value: Image
+    span_of_variant: npt.NDArray[np.int64]
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """The largest row of a span, up or down, and the most points of a span."""
+        row, _, start = self.places
+        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
 
 
 class SplatPass(NamedTuple):
@@ -189,22 +237,21 @@ def splat_laplacian(
     nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
     drawn = tuple(_level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES)
     pitch = 4 * canvas.cols
-    offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
-    _kernels.point_offsets(table.offset_rc, canvas.cols, offsets)
+    offsets = table.offsets(canvas.cols)
     scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
-    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.value, place, scratch, BAND_ROWS, fresh)
+    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.lanes, place, scratch, BAND_ROWS, fresh)
 
 
 def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
     """Add one group of direct variants to an image in place; arguments as for `splat_laplacian`, of stride 1."""
     if not len(source.of(group)):
         return
-    spans, value, span_of_variant = _spans(table, canvas.cols)
-    place = canvas.top, canvas.left, canvas.cols
+    spans = table.spans
+    place = canvas.top, canvas.left, canvas.cols, *spans.extent
     level = _level(source, group, canvas)
-    _kernels.splat_spans(image.reshape(-1), level, spans, value, span_of_variant, place, BAND_ROWS)
+    _kernels.splat_spans(image.reshape(-1), level, *spans, place, BAND_ROWS)
 
 
 def sum_rows(image: Image) -> Image:
@@ -218,21 +265,6 @@ def _level(source: Runs, group: int, canvas: Canvas) -> tuple[Image, npt.NDArray
     runs = source.of(group)
     row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], canvas.top + np.arange(canvas.rows + 1))
     return source.source.radiance.reshape(-1), runs, row_start.astype(np.int64)
-
-
-def _spans(
-    table: PointTable, cols: int
-) -> tuple[tuple[npt.NDArray[np.int64], ...], npt.NDArray[np.float32], npt.NDArray[np.int64]]:
-    """Group points that are neighbours in a row; see `runtime._kernels.splat_spans` for what is returned."""
-    row, col = table.offset_rc.T.astype(np.int64)
-    breaks = np.ones(len(row), np.bool_)
-    breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
-    breaks[table.point_start[:-1]] = True
-    first = np.flatnonzero(breaks)
-    spans = row[first], 4 * (row[first] * cols + col[first]), np.append(first, len(row))
-    lanes = [0, 0, 0, 0] if table.value.shape[1] == 1 else [0, 1, 2, 3]
-    coloured = np.concatenate([table.value, table.value.mean(axis=1, keepdims=True)], axis=1)
-    return spans, coloured[:, lanes].reshape(-1), np.searchsorted(first, table.point_start)
 
 
 def gather(source: SplatPass, table: PointTable) -> Image:
@@ -258,6 +290,6 @@ def gather(source: SplatPass, table: PointTable) -> Image:
     cols = padded.shape[1]
     image = np.zeros_like(source.radiance)
     _kernels.gather_runs(
-        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.value, table.point_start, cols
+        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.lanes, table.point_start, cols
     )
     return image
