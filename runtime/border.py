@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import _plan_kernels
-from runtime.splat import NO_SHIFT, SplatPass
+from runtime.splat import NO_SHIFT, STRIDES, SplatPass
 
 Image = npt.NDArray[np.float32]
 Colours = tuple[Image, Image, Image, Image]
@@ -43,6 +43,8 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     if colours is not None and len(reach):
         edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
         top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
+        # Blocks of the extended frame are blocks of the frame, whose labels change between them where they can.
+        top, left = (side + -side % STRIDES[-1] for side in (top, left))
     elif not len(share):
         return frame
     shape = top + height + bottom, left + width + right

@@ -126,7 +126,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
-        for pixels in frame_pixels(layer, camera, defocus=True, motion=True):
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
             needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}

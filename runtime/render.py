@@ -204,7 +204,7 @@ def synthesize(
     """
     options, clock = options or Options(), clock or Clock()
     _warn_about_view(database, camera, frame.shape[1])
-    effects = {"defocus": options.defocus, "motion": options.motion}
+    effects = {"defocus": options.defocus, "motion": options.motion, "curved": database.grid.model.has_motion}
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
