@@ -7,7 +7,7 @@ compiler from vectorising.
 import numba
 import numpy as np
 
-from runtime._vectors import add, load, multiply, store
+from runtime._vector_kernels import add, load, multiply, store
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
 """Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""

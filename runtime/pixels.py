@@ -41,15 +41,13 @@ class Pixels(NamedTuple):
     weight: Image = NOTHING
 
 
-def frame_pixels(
-    layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True
-) -> list[Pixels]:
+def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
     Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.depth_edges`. Paths that are
     curved (the motion before the frame's time differs from that after it) become chords of the curve through the three
-    positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: chords of
-    them would be ghosts.
+    positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn
+    once for each chord they would be ghosts.
     """
     passes = []
     for surface, share in split_depth_edges(layer, camera):

@@ -25,6 +25,30 @@ STRIDES = (1, 2, 4)
 Image = npt.NDArray[np.float32]
 
 
+class Spans(NamedTuple):
+    """Direct points that are neighbours in rows: see `runtime._kernels.splat_spans`.
+
+    Attributes
+    ----------
+    places : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
+        Row and column of each span's first point; where its points begin.
+    value : ndarray of shape (n_points * 4,), float32
+        Values of the points for R, G, B and alpha.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        Where the spans of each variant begin.
+    """
+
+    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+    value: Image
+    span_of_variant: npt.NDArray[np.int64]
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """The largest row of a span, up or down, and the most points of a span."""
+        row, _, start = self.places
+        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
+
+
 @dataclass(frozen=True, eq=False)
 class PointTable:
     """The points of all variants of a plan, concatenated; each variant's points are sorted by row.
@@ -65,7 +89,7 @@ class PointTable:
 
     @cached_property
     def lanes(self) -> Image:
-        """The values as kernels take them: (n_points, 1) for all channels, or (n_points, 4) with their mean for alpha."""
+        """The values as kernels take them: of shape (n_points, 1), or (n_points, 4) with the mean of three for alpha."""
         if self.value.shape[1] == 1:
             return self.value
         return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
@@ -85,7 +109,7 @@ class PointTable:
         return {}
 
     @cached_property
-    def spans(self) -> "Spans":
+    def spans(self) -> Spans:
         """The points of direct variants, those grouped that are neighbours in a row."""
         row, col = self.offset_rc[np.repeat(self.direct, self.n_points)].T.astype(np.int64)
         point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
@@ -94,8 +118,9 @@ class PointTable:
         breaks[point_start[point_start < len(row)]] = True
         first = np.flatnonzero(breaks)
         start = np.append(first, len(row))
-        value = np.broadcast_to(self.lanes[np.repeat(self.direct, self.n_points)], (len(row), 4)).reshape(-1)
-        return Spans((row[first], col[first], start), value, np.searchsorted(first, point_start))
+        value = np.empty((len(row), 4), np.float32)
+        value[:] = self.lanes[np.repeat(self.direct, self.n_points)]
+        return Spans((row[first], col[first], start), value.reshape(-1), np.searchsorted(first, point_start))
 
     @cached_property
     def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
@@ -104,20 +129,6 @@ class PointTable:
         first = np.empty(base[-1], np.int64)
         _kernels.rows_of_points(self.offset_rc, self.point_start, self.reaches, base, first)
         return self.point_start, first, base, self.reaches
-
-
-class Spans(NamedTuple):
-    """Direct points that are neighbours in rows: see `runtime._kernels.splat_spans`."""
-
-    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
-    value: Image
-    span_of_variant: npt.NDArray[np.int64]
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """The largest row of a span, up or down, and the most points of a span."""
-        row, _, start = self.places
-        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
 
 
 class SplatPass(NamedTuple):

@@ -15,6 +15,7 @@ LANES = 4
 
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _TUPLE = types.UniTuple(types.float32, LANES)
+_FLAT = types.Array(types.float32, 1, "C")
 _FLOAT_BYTES = 4
 
 
@@ -98,12 +99,13 @@ def _multiply(typing_context, x, y):
 
 @overload(load)
 def _compiled_load(array, index):
-    return lambda array, index: _load(array, index)
+    # Any other array has no such function, which is an error when a kernel is compiled.
+    return (lambda array, index: _load(array, index)) if array == _FLAT else None
 
 
 @overload(store)
 def _compiled_store(array, index, vector):
-    return lambda array, index, vector: _store(array, index, vector)
+    return (lambda array, index, vector: _store(array, index, vector)) if array == _FLAT else None
 
 
 @overload(add)
