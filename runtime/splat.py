@@ -89,7 +89,7 @@ class PointTable:
 
     @cached_property
     def lanes(self) -> Image:
-        """The values as kernels take them: of shape (n_points, 1), or (n_points, 4) with the mean of three for alpha."""
+        """The values as kernels take them: of shape (n_points, 1), or (n_points, 4) with the mean for alpha."""
         if self.value.shape[1] == 1:
             return self.value
         return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
