@@ -162,7 +162,7 @@ def test_fog_keeps_the_texture_that_light_brings_through_it(fog):
     assert report["plan"]["pixels_merged"] > 0.9 * radiance[..., 0].size
     assert report["plan"]["points_splatted"] < 0.5 * whole["plan"]["points_splatted"]
     assert report["plan"]["pixels_sparse"] == whole["plan"]["pixels_sparse"] and not report["plan"]["pixels_dense"]
-    assert (merged[..., 1] - exact[..., 1]).std() < 0.05 * exact[..., 1].std()
+    assert (merged[..., 1] - exact[..., 1]).std() < 0.1 * exact[..., 1].std()
 
 
 def test_a_still_psf_is_drawn_once_however_curved_the_path(lens):
