@@ -94,6 +94,26 @@ def list_runs(label, shift, group, start, place, n_variants, runs):
             col = end
 
 
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def collect_runs(radiance, runs, place, colours):
+    """Copy the colours of runs together.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H * W * 4,), float32
+        Flattened source.
+    runs : ndarray of shape (n_runs, 5), int32
+    place : ndarray of shape (n_runs,), int64
+        The first pixel of each run in the collection.
+    colours : ndarray of shape (n_pixels * 4,), float32
+        Filled at these places.
+    """
+    for i in numba.prange(runs.shape[0]):
+        source, target = _U(4) * _U(runs[i, 0]), _U(4) * _U(place[i])
+        for k in range(_U(4) * _U(runs[i, 3])):
+            colours[target + k] = radiance[source + k]
+
+
 @numba.njit(cache=True, fastmath=False)
 def run_bounds(runs, reach, stride):
     """Return the first row and column that the splats of runs may touch, and those behind the last."""
@@ -247,7 +267,7 @@ def _spread(target, source, n_rows, stride, pitch):
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows, fresh):
+def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
@@ -258,7 +278,7 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     Parameters
     ----------
     image : ndarray of shape (rows, cols * 4), float32
-        Where to draw; cols is a multiple of 4.
+        Overwritten; cols is a multiple of 4.
     levels : tuple of three (radiance, runs, row_start)
         For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
         (rows + 1,), int64, where the runs of each row of the image begin.
@@ -274,8 +294,6 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     scratch : ndarray of shape (threads, 2, band_rows + 3, cols * 4), float32
     band_rows : int
         Height of a band.
-    fresh : bool
-        Whether to overwrite the image rather than to add to it.
     """
     rows, pitch = image.shape
     # Tuples of unlike arrays cannot enter a parallel loop whole.
@@ -288,8 +306,7 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
         table = point_start, first, base, reach
         place = top, left, pitch, farthest
         target = image[begin : begin + n_rows].reshape(n_rows * pitch)
-        if fresh:
-            target[:] = np.float32(0.0)
+        target[:] = np.float32(0.0)
         level_2, level_4 = (colour_2, runs_2, start_2), (colour_4, runs_4, start_4)
         first_2, end_2 = _runs_near(level_2, begin - 1, n_rows + 1, farthest)
         first_4, end_4 = _runs_near(level_4, begin - 3, n_rows + 3, farthest)

@@ -415,8 +415,8 @@ def _splat_layer(
         assert canvas is not None, "only layers with splats are drawn"
         padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
         drawn = [levels for levels in sources if any(len(each.of(sparse)) for each in levels)]
-        for count, levels in enumerate(drawn):
-            splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=count == 0)
+        if drawn:
+            splat_laplacian(padded, canvas, drawn, sparse, plan.table)
     if drawn:
         with clock.step("integrate"):
             padded = solver(padded)

@@ -23,6 +23,8 @@ STRIDES = (1, 2, 4)
 """Sides of the blocks, px, that can be drawn as one."""
 
 Image = npt.NDArray[np.float32]
+Level = tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]
+"""Colours, runs and where the runs of each row begin, as `runtime._kernels.splat_levels` takes them."""
 
 
 class Spans(NamedTuple):
@@ -93,20 +95,6 @@ class PointTable:
         if self.value.shape[1] == 1:
             return self.value
         return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
-
-    def offsets(self, cols: int) -> npt.NDArray[np.int64]:
-        """Return the places of the points in images of ``cols`` columns: see `runtime._kernels.point_offsets`."""
-        if cols not in self._known_offsets:
-            offsets = np.empty((len(STRIDES), len(self.offset_rc)), np.int64)
-            _kernels.point_offsets(self.offset_rc, cols, offsets)
-            # Passes of a layer are drawn one after the other, each into the same image.
-            self._known_offsets.clear()
-            self._known_offsets[cols] = offsets
-        return self._known_offsets[cols]
-
-    @cached_property
-    def _known_offsets(self) -> dict[int, npt.NDArray[np.int64]]:
-        return {}
 
     @cached_property
     def spans(self) -> Spans:
@@ -225,34 +213,32 @@ def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable,
 
 
 def splat_laplacian(
-    image: Image, canvas: Canvas, levels: Sequence[Runs], group: int, table: PointTable, *, fresh: bool = True
+    image: Image, canvas: Canvas, passes: Sequence[Sequence[Runs]], group: int, table: PointTable
 ) -> None:
-    """Draw one group of sparse variants into an image, in place.
+    """Draw one group of sparse variants into an image.
 
     Parameters
     ----------
     image : ndarray of shape (canvas.rows, canvas.cols, 4), float32, contiguous
-        Laplacian image.
+        Laplacian image; overwritten.
     canvas : Canvas
         Every splat must lie within it.
-    levels : sequence of Runs
-        Single pixels and blocks, of different strides.
+    passes : sequence of sequences of Runs
+        For each pass single pixels and blocks, of different strides.
     group : int
         The group to draw.
     table : PointTable
         Points of the variants.
-    fresh : bool
-        Whether to overwrite the image rather than to add to it.
     """
-    by_stride = {each.source.stride: each for each in levels}
-    nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
-    drawn = tuple(_level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES)
+    flat = [each for levels in passes for each in levels if len(each.of(group))]
+    drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
-    offsets = table.offsets(canvas.cols)
+    offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
+    _kernels.point_offsets(table.offset_rc, canvas.cols, offsets)
     scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
-    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.lanes, place, scratch, BAND_ROWS, fresh)
+    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.lanes, place, scratch, BAND_ROWS)
 
 
 def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
@@ -271,11 +257,35 @@ def sum_rows(image: Image) -> Image:
     return image
 
 
-def _level(source: Runs, group: int, canvas: Canvas) -> tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+def _level(source: Runs, group: int, canvas: Canvas) -> Level:
     """Return the flattened colours, the runs, and where the runs of each row of the canvas begin."""
     runs = source.of(group)
-    row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], canvas.top + np.arange(canvas.rows + 1))
-    return source.source.radiance.reshape(-1), runs, row_start.astype(np.int64)
+    return source.source.radiance.reshape(-1), runs, _row_start(runs, canvas)
+
+
+def _row_start(runs: npt.NDArray[np.int32], canvas: Canvas) -> npt.NDArray[np.int64]:
+    rows = canvas.top + np.arange(canvas.rows + 1)
+    return np.searchsorted(runs[:, _kernels.RUN_ROW], rows).astype(np.int64)
+
+
+def _joined(sources: Sequence[Runs], group: int, canvas: Canvas) -> Level:
+    """Do as `_level` for the runs of several passes of one stride."""
+    if len(sources) == 1:
+        return _level(sources[0], group, canvas)
+    parts = [each.of(group) for each in sources]
+    runs = np.concatenate([np.zeros((0, 5), np.int32), *parts])
+    order = np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")
+    ends = np.cumsum(runs[order, _kernels.RUN_LENGTH], dtype=np.int64)
+    place = np.empty(len(runs), np.int64)
+    place[order] = ends - runs[order, _kernels.RUN_LENGTH]
+    colours = np.empty(4 * int(ends[-1]) if len(ends) else 0, np.float32)
+    begin = 0
+    for each, part in zip(sources, parts, strict=True):
+        _kernels.collect_runs(each.source.radiance.reshape(-1), part, place[begin : begin + len(part)], colours)
+        begin += len(part)
+    runs[:, _kernels.RUN_SOURCE] = place
+    runs = runs[order]
+    return colours, runs, _row_start(runs, canvas)
 
 
 def gather(source: SplatPass, table: PointTable) -> Image:

@@ -47,7 +47,7 @@ def drawn(table, sources, group):
     if group in DIRECT:
         splat_direct(image, canvas, runs[0], group, table)
     else:
-        splat_laplacian(image, canvas, runs, group, table)
+        splat_laplacian(image, canvas, [runs], group, table)
     return canvas, image
 
 
@@ -73,14 +73,15 @@ def test_blocks_are_drawn_as_all_their_pixels_would(n_channels, group):
 
 
 @pytest.mark.interpreted
-def test_passes_add_up():
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_passes_add_up(n_channels):
     rng = np.random.default_rng(9)
-    table, sources = random_table(rng, 1), [random_levels(rng), [random_pass(rng)]]
+    table = random_table(rng, n_channels)
+    sources = [random_levels(rng), [random_pass(rng)], random_levels(rng)[:2]]
     runs = [[find_runs(each, table, N_LAYERS) for each in levels] for levels in sources]
     canvas = canvas_of([each for levels in runs for each in levels], (0,), table, 0)
     image = np.full((canvas.rows, canvas.cols, 4), 7.0, np.float32)
-    for number, levels in enumerate(runs):
-        splat_laplacian(image, canvas, levels, 0, table, fresh=number == 0)
+    splat_laplacian(image, canvas, runs, 0, table)
     expected = splat_naive(canvas, [each for levels in sources for each in levels], 0, table)
     assert np.allclose(image, expected, atol=5e-5)
 
