@@ -146,12 +146,14 @@ def split_spike(points: Points) -> tuple[Points, npt.NDArray[np.float32]]:
     """
     offset_rc, value, direct = points
     nothing = np.zeros(value.shape[1], np.float32)
-    distance = np.abs(offset_rc).sum(axis=1)
+    if direct:
+        return points, nothing
+    distance = (offset_rc * offset_rc).sum(axis=1)
     centre, around = np.flatnonzero(distance == 0), np.flatnonzero(distance == 1)
-    if direct or len(centre) != 1 or len(around) != 4:
+    if len(centre) != 1 or len(around) != 4:
         return points, nothing
     spike = np.minimum(value[around].min(axis=0), -0.25 * value[centre[0]])
-    energy = 0.25 * (offset_rc.astype(np.float64) ** 2).sum(axis=1) @ value
+    energy = 0.25 * distance @ value
     if not (spike > SPIKE_SHARE * energy).all():
         return points, nothing
     rest = value.copy()
