@@ -7,9 +7,11 @@ they are missing. Writes models.txt, models_sparsity.txt and models_frames.txt t
 ``combined`` is the subject of spreadlet_quality.py and frames.py, too.
 
     python benchmarks/models.py [--frames DIR] [--sample N] [--cells N] [--scenes NAME ...] [--models NAME ...]
+                                [--enlarged NAME ...]
 """
 
 import argparse
+import itertools
 import tempfile
 import time
 import warnings
@@ -17,6 +19,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+from scipy import ndimage
 
 import spreadlets as sp
 from precompute import sparsify
@@ -73,6 +76,9 @@ UNBOUND = {
 }
 """Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
 
+
+ENLARGED_DEPTH_STEP = 0.02
+"""Relative difference of depths that are not on one surface."""
 
 FRAME_COLUMNS = ("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio")
 FRAME_NOTE = """s: splat and integrate, of spreadlets and of the same PSFs drawn in full, pixel by pixel.
@@ -153,9 +159,25 @@ class DensePsfs:
         return self.known[key]
 
 
-def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs) -> list[object]:
+def enlarged(frame: sp.Frame) -> sp.Frame:
+    """Return a frame of twice the width: colours and depths interpolated, but not across the edges of objects."""
+    height, width = frame.shape
+    place = [np.clip((np.arange(2 * size) - 0.5) / 2, 0, size - 1) for size in (height, width)]
+    grid = np.meshgrid(*place, indexing="ij")
+    nearest = tuple(np.rint(axis).astype(int) for axis in grid)
+    inverse = 1.0 / frame.depth.astype(np.float64)
+    smooth = ndimage.map_coordinates(inverse, grid, order=1)
+    flat = np.abs(smooth - inverse[nearest]) < ENLARGED_DEPTH_STEP * inverse[nearest]
+    radiance = np.stack([ndimage.map_coordinates(frame.radiance[..., c], grid, order=1) for c in range(4)], axis=2)
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / np.where(flat, smooth, inverse[nearest])
+    return sp.Frame(np.where(flat[..., None], radiance, frame.radiance[nearest]), depth)
+
+
+def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs, enlarge: bool) -> list[object]:
     """Return a row of the second table: spreadlets against dense splatting of the same PSFs."""
     frame, camera = sp.read_frame(folder / f"{scene}_pinhole.exr"), sp.read_camera(folder / f"{scene}.json")
+    frame = enlarged(frame) if enlarge else frame
     with warnings.catch_warnings():
         # These scenes are in units of their own: the CoC is that of the frame's camera, the aberrations the lens's.
         warnings.simplefilter("ignore")
@@ -167,7 +189,7 @@ def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs
     points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size
     return [
         database.grid.model.name,
-        scene,
+        f"{scene}, {frame.shape[1]} px",
         figures["ssim"],
         1 - figures["ssim"],
         figures["psnr"],
@@ -247,15 +269,19 @@ def spreadlet_table(n_sampled: int) -> str:
     return table((*columns, "MB", "LKS MB", "s each", "s per cell, 2 cores"), rows)
 
 
-def frame_table(folder: Path, scenes: list[str], names: list[str]) -> str:
-    """Return the table of images against dense splatting of the same PSFs; it is written as it grows."""
+def frame_table(folder: Path, scenes: list[str], names: list[str], larger: list[str]) -> str:
+    """Return the table of images against dense splatting of the same PSFs; it is written as it grows.
+
+    Those of some models are also drawn at twice the width.
+    """
     rows: list[list[object]] = []
     text = ""
     for name in names:
         with open_database(name) as database:
             traced = DensePsfs(database)
-            for scene in scenes:
-                rows.append(frame_row(folder, scene, database, traced))
+            sizes = (False, True) if name in larger else (False,)
+            for enlarge, scene in itertools.product(sizes, scenes):
+                rows.append(frame_row(folder, scene, database, traced, enlarge))
                 text = table(FRAME_COLUMNS, rows)
                 (RESULTS / "models_frames.txt").write_text(FRAME_NOTE + text + "\n")
     return text
@@ -268,6 +294,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=40, help="cells of each wide grid; 0: no such table")
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--models", nargs="*", default=[name for name in MODELS if name != "combined"])
+    parser.add_argument("--enlarged", nargs="*", default=["physicallens"], help="models drawn at 1024 px, too")
     arguments = parser.parse_args()
     RESULTS.mkdir(exist_ok=True)
     if arguments.sample:
@@ -281,7 +308,7 @@ def main() -> None:
     if not (arguments.frames / "coins_pinhole.exr").exists():
         print(f"no frames in {arguments.frames}: the second table is left out")
     elif arguments.models:
-        text = frame_table(arguments.frames, arguments.scenes, arguments.models)
+        text = frame_table(arguments.frames, arguments.scenes, arguments.models, arguments.enlarged)
         print(text)
 
 

@@ -7,6 +7,8 @@ compiler from vectorising.
 import numba
 import numpy as np
 
+from runtime._vector_kernels import add, load, multiply, store
+
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
 """Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""
 
@@ -92,6 +94,26 @@ def list_runs(label, shift, group, start, place, n_variants, runs):
             col = end
 
 
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def collect_runs(radiance, runs, place, colours):
+    """Copy the colours of runs together.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H * W * 4,), float32
+        Flattened source.
+    runs : ndarray of shape (n_runs, 5), int32
+    place : ndarray of shape (n_runs,), int64
+        The first pixel of each run in the collection.
+    colours : ndarray of shape (n_pixels * 4,), float32
+        Filled at these places.
+    """
+    for i in numba.prange(runs.shape[0]):
+        source, target = _U(4) * _U(runs[i, 0]), _U(4) * _U(place[i])
+        for k in range(_U(4) * _U(runs[i, 3])):
+            colours[target + k] = radiance[source + k]
+
+
 @numba.njit(cache=True, fastmath=False)
 def run_bounds(runs, reach, stride):
     """Return the first row and column that the splats of runs may touch, and those behind the last."""
@@ -161,16 +183,11 @@ def _runs_near(level, first_row, n_rows, farthest):
 @numba.njit(cache=True, fastmath=False)
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
-    r, g, b, a = radiance[source], radiance[source + _U(1)], radiance[source + _U(2)], radiance[source + _U(3)]
+    colour = load(radiance, source)
     for p in range(begin, end):
         o = _U(target + point_offset[p])
         weight = value[p, 0]
-        # Load all four before the first store, so that they become one vector.
-        r0, g0, b0, a0 = image[o], image[o + _U(1)], image[o + _U(2)], image[o + _U(3)]
-        image[o] = r0 + weight * r
-        image[o + _U(1)] = g0 + weight * g
-        image[o + _U(2)] = b0 + weight * b
-        image[o + _U(3)] = a0 + weight * a
+        store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -178,23 +195,19 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
     for p in range(begin, end):
         o = _U(target + point_offset[p])
-        weight = value[p, 0]
-        for k in range(n):
-            image[o + _U(k)] += weight * radiance[source + _U(k)]
+        weight = value[p, 0], value[p, 0], value[p, 0], value[p, 0]
+        for k in range(_U(0), n, _U(4)):
+            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
 @numba.njit(cache=True, fastmath=False)
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
-    """Do as `_draw_run` with a value for each of R, G and B; alpha takes their mean."""
+    """Do as `_draw_run` with a value for each of R, G, B and alpha."""
     for p in range(begin, end):
         o = _U(target + point_offset[p])
-        r, g, b = value[p, 0], value[p, 1], value[p, 2]
-        a = (r + g + b) * np.float32(1.0 / 3.0)
+        weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
         for k in range(_U(0), n, _U(4)):
-            image[o + k] += r * radiance[source + k]
-            image[o + k + _U(1)] += g * radiance[source + k + _U(1)]
-            image[o + k + _U(2)] += b * radiance[source + k + _U(2)]
-            image[o + k + _U(3)] += a * radiance[source + k + _U(3)]
+            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -216,7 +229,7 @@ def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, v
         # The column of a canvas's first pixel fits the stride, see `splat_levels`.
         at = np.int64(row) * pitch + 4 * ((runs[i, 2] - left) // stride)
         n = _U(4) * _U(runs[i, 3])
-        if value.shape[1] == 3:
+        if value.shape[1] == 4:
             _draw_coloured_run(target, radiance, source, at, n, point_offset, value, begin, end)
         elif n == _U(4):
             _draw_pixel(target, radiance, source, at, point_offset, value, begin, end)
@@ -244,30 +257,17 @@ def _spread(target, source, n_rows, stride, pitch):
             back = _U(0) if phase >= half else _U(4)
             o = out + _U(phase % half) * (n + n) + _U(4 * (phase // half))
             if back:
-                for c in range(_U(4)):
-                    target[o + c] += source[here + own + c] + source[above + own + c]
+                store(target, o, add(load(target, o), add(load(source, here + own), load(source, above + own))))
             for k in range(back, n, _U(4)):
                 i, j = own + k, beside + k - back
-                # All loads come before the first store, so that the four become one vector.
-                r = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
-                i, j = i + _U(1), j + _U(1)
-                g = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
-                i, j = i + _U(1), j + _U(1)
-                b = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
-                i, j = i + _U(1), j + _U(1)
-                a = source[here + i] + source[above + i] + (source[here + j] + source[above + j])
-                t = o + k + k
-                i, j = t + _U(1), t + _U(2)
-                r0, g0, b0, a0 = target[t], target[i], target[j], target[t + _U(3)]
-                target[t] = r0 + r
-                target[i] = g0 + g
-                target[j] = b0 + b
-                target[t + _U(3)] = a0 + a
+                left = add(load(source, here + i), load(source, above + i))
+                right = add(load(source, here + j), load(source, above + j))
+                store(target, o + k + k, add(load(target, o + k + k), add(left, right)))
 
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows, fresh):
+def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
@@ -278,7 +278,7 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     Parameters
     ----------
     image : ndarray of shape (rows, cols * 4), float32
-        Where to draw; cols is a multiple of 4.
+        Overwritten; cols is a multiple of 4.
     levels : tuple of three (radiance, runs, row_start)
         For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
         (rows + 1,), int64, where the runs of each row of the image begin.
@@ -286,16 +286,14 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
         See `point_offsets`.
     points : tuple of four ndarrays
         ``point_start``; and ``first``, ``base``, ``reach`` of `rows_of_points`.
-    value : ndarray of shape (n_points, C), float32
-        C is 1, or 3 (then alpha takes the mean of the three).
+    value : ndarray of shape (n_points, 1) or (n_points, 4), float32
+        For all channels, or for each of R, G, B and alpha.
     canvas : tuple of four ints
         Row and column, in the frame, of the image's first pixel (the column fits all strides: it differs from those of
         blocks by multiples of 4); ``4 * cols``; the largest reach.
     scratch : ndarray of shape (threads, 2, band_rows + 3, cols * 4), float32
     band_rows : int
         Height of a band.
-    fresh : bool
-        Whether to overwrite the image rather than to add to it.
     """
     rows, pitch = image.shape
     # Tuples of unlike arrays cannot enter a parallel loop whole.
@@ -308,8 +306,7 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
         table = point_start, first, base, reach
         place = top, left, pitch, farthest
         target = image[begin : begin + n_rows].reshape(n_rows * pitch)
-        if fresh:
-            target[:] = np.float32(0.0)
+        target[:] = np.float32(0.0)
         level_2, level_4 = (colour_2, runs_2, start_2), (colour_4, runs_4, start_4)
         first_2, end_2 = _runs_near(level_2, begin - 1, n_rows + 1, farthest)
         first_4, end_4 = _runs_near(level_4, begin - 3, n_rows + 3, farthest)
@@ -340,31 +337,24 @@ def _first_point(row, begin, end, wanted):
 
 
 @numba.njit(cache=True, fastmath=False)
-def _draw_direct_run(image, radiance, source, target, n, spans, value, bounds, tiled):
+def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
-    _, span_offset, span_start = spans
+    span_row, span_col, span_start = spans
     begin, end = bounds
     if n >= LONG_RUN:
         for span in range(begin, end):
-            o = _U(target + span_offset[span])
+            o = _U(target + 4 * (span_row[span] * cols + span_col[span]))
             for p in range(_U(4 * span_start[span]), _U(4 * span_start[span + 1]), _U(4)):
-                r, g, b, a = value[p], value[p + _U(1)], value[p + _U(2)], value[p + _U(3)]
-                if r == a and g == a and b == a:
-                    for k in range(_U(4 * n)):
-                        image[o + _U(k)] += a * radiance[source + _U(k)]
-                else:
-                    for k in range(_U(0), _U(4 * n), _U(4)):
-                        image[o + k] += r * radiance[source + k]
-                        image[o + k + _U(1)] += g * radiance[source + k + _U(1)]
-                        image[o + k + _U(2)] += b * radiance[source + k + _U(2)]
-                        image[o + k + _U(3)] += a * radiance[source + k + _U(3)]
+                weight = load(value, p)
+                for k in range(_U(0), _U(4 * n), _U(4)):
+                    store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
                 o += _U(4)
         return
     for pixel in range(n):
         for k in range(len(tiled)):
             tiled[k] = radiance[source + _U(4 * pixel + (k & 3))]
         for span in range(begin, end):
-            o = _U(target + 4 * pixel + span_offset[span])
+            o = _U(target + 4 * (pixel + span_row[span] * cols + span_col[span]))
             first = _U(4 * span_start[span])
             for k in range(_U(4 * (span_start[span + 1] - span_start[span]))):
                 image[o + _U(k)] += value[first + _U(k)] * tiled[_U(k)]
@@ -384,29 +374,26 @@ def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
     level : tuple of (radiance, runs, row_start)
         As for `splat_levels`; the stride is 1.
     spans : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
-        Row offset of each span, ascending within a variant; its offset in floats of the flattened image; its points.
+        Row and column of each span's first point, rows ascending within a variant; where its points begin.
     value : ndarray of shape (n_points * 4,), float32
         Values of the points for R, G, B and alpha.
     span_of_variant : ndarray of shape (n_variants + 1,), int64
         The spans of each variant.
-    canvas : tuple of three ints
-        Row and column, in the frame, of the image's first pixel; cols.
+    canvas : tuple of five ints
+        Row and column, in the frame, of the image's first pixel; cols; the largest row of a span, up or down; the most
+        points of a span.
     band_rows : int
         Height of a band.
     """
     radiance, runs, row_start = level
-    top, left, cols = canvas
-    span_row, span_offset, span_start = spans
+    top, left, cols, reach, longest = canvas
+    span_row, span_col, span_start = spans
     rows = row_start.shape[0] - 1
-    reach = 0
-    longest = 0
-    for span in range(span_row.shape[0]):
-        reach = max(reach, abs(span_row[span]))
-        longest = max(longest, span_start[span + 1] - span_start[span])
     for band in numba.prange((rows + band_rows - 1) // band_rows):
         begin_row = band * band_rows
         end_row = min(begin_row + band_rows, rows)
         tiled = np.empty(4 * longest, np.float32)
+        table = span_row, span_col, span_start
         for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
             row, length, variant = runs[i, 1] - top, runs[i, 3], runs[i, 4]
             begin = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
@@ -415,7 +402,7 @@ def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
                 continue
             source = _U(4) * _U(runs[i, 0])
             target = 4 * (np.int64(row) * cols + runs[i, 2] - left)
-            _draw_direct_run(image, radiance, source, target, length, spans, value, (begin, end), tiled)
+            _draw_direct_run(image, radiance, source, target, length, cols, table, value, (begin, end), tiled)
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -432,8 +419,8 @@ def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
         The receiving pixels; the target row and column are those of the pixel in the padded input.
     point_offset : ndarray of shape (n_points,), int64
         Offset of each point in floats of the padded input.
-    value : ndarray of shape (n_points, C), float32
-        The PSF's pixels.
+    value : ndarray of shape (n_points, 1) or (n_points, 4), float32
+        The PSF's pixels, for all channels or for each.
     point_start : ndarray of shape (n_variants + 1,), int64
     cols : int
         Width of the padded input, px.
@@ -450,13 +437,10 @@ def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
                 for k in range(n):
                     image[target + _U(k)] += weight * radiance[source + _U(k)]
             else:
-                r, g, b = value[p, 0], value[p, 1], value[p, 2]
-                a = (r + g + b) * np.float32(1.0 / 3.0)
+                weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
                 for k in range(_U(0), n, _U(4)):
-                    image[target + k] += r * radiance[source + k]
-                    image[target + k + _U(1)] += g * radiance[source + k + _U(1)]
-                    image[target + k + _U(2)] += b * radiance[source + k + _U(2)]
-                    image[target + k + _U(3)] += a * radiance[source + k + _U(3)]
+                    change = multiply(weight, load(radiance, source + k))
+                    store(image, target + k, add(load(image, target + k), change))
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)

@@ -44,7 +44,8 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     if colours is not None and len(reach):
         edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
         top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
-        left += -left % STRIDES[-1]
+        # Blocks of the extended frame are blocks of the frame, whose labels change between them where they can.
+        top, left = (side + -side % STRIDES[-1] for side in (top, left))
     elif not len(share):
         return frame
     shape = top + height + bottom, left + width + right

@@ -41,17 +41,18 @@ class Pixels(NamedTuple):
     weight: Image = NOTHING
 
 
-def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
+def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
     Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.depth_edges`. Paths that are
     curved (the motion before the frame's time differs from that after it) become chords of the curve through the three
-    positions, each with its share of the shutter.
+    positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn
+    once for each chord they would be ghosts.
     """
     passes = []
     for surface, share in split_depth_edges(layer, camera):
         straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
-        for labels, weight in _along_paths(surface, camera, straight, motion):
+        for labels, weight in _along_paths(surface, camera, straight, motion and curved):
             weights = [each for each in (share, weight) if each is not None]
             passes.append(Pixels(layer.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
     return passes

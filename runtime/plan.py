@@ -18,7 +18,7 @@ from runtime.merge import merge_blocks
 from runtime.pixels import Pixels, frame_pixels
 from runtime.pool import place_pixels, pool
 from runtime.splat import PointTable, SplatPass
-from runtime.variant import SHARP, DensePsf, Variant, variant_points
+from runtime.variant import SHARP, DensePsf, Points, Variant, split_spike, variant_points
 from spreadlets.camera import ThinLens
 from spreadlets.database import Database
 from spreadlets.frame import Frame
@@ -82,7 +82,9 @@ class Plan:
     sources : list of list of SplatPass
         The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
     table : PointTable
-        The points of the variants in use.
+        The points of the variants in use, and behind them the spikes that were taken off some of them.
+    n_variants : int
+        Variants without the spikes.
     n_layers : int
         Depth layers.
     members : list of Membership
@@ -98,6 +100,7 @@ class Plan:
 
     sources: list[list[SplatPass]]
     table: PointTable
+    n_variants: int
     n_layers: int
     members: list[Membership]
     cells_used: set[int]
@@ -113,6 +116,8 @@ class Plan:
             splats += count
             drawn += count * source.stride**2
             merged += count * source.stride**2 if source.stride > 1 else 0
+        # A pixel with a spike is drawn twice.
+        drawn[self.n_variants :] = 0
         return {
             "pixels_sparse": int(drawn[~self.table.direct].sum()),
             "pixels_dense": int(drawn[self.table.direct].sum()),
@@ -135,7 +140,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
-        for pixels in frame_pixels(layer, camera, defocus=True, motion=True):
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
             needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
@@ -156,17 +161,21 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(drawn, indices, strict=True))
     _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    table = _point_table(list(variant_points(variants, database, settings.dense_psf)), database.n_channels)
+    points = list(variant_points(variants, database, settings.dense_psf))
+    points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
+    table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
     layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
     parts = _all_parts(passes, members, settings, layering.n_layers, table.n_variants)
-    splats = _splat_passes(parts, table, layering.n_layers, settings.stochastic)
-    variation = np.tile(_variation(variants, table, database), layering.n_layers)
+    splats = list(_splat_passes(parts, table, layering.n_layers, settings.stochastic))
+    variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
+    alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
     merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
     plan = Plan(
-        sources=[levels for levels, _ in merged],
+        sources=[levels for levels, _ in merged] + [[each] for each in alone],
         table=table,
+        n_variants=len(variants),
         n_layers=layering.n_layers,
         members=members,
         cells_used={variant.cell for variant in variants if variant != SHARP},
@@ -281,16 +290,28 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
 
 
 def _point_table(
-    points: list[tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]], n_channels: int
-) -> PointTable:
-    """Concatenate the points of all variants."""
+    points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
+) -> tuple[PointTable, npt.NDArray[np.int32]]:
+    """Concatenate the points of all variants, then the spikes; say which variant each one's spike is, -1 if none."""
+    spike_of = np.full(len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
+    for number, spike in enumerate(spikes):
+        if spike.any():
+            spike_of[number] = len(points)
+            points = [*points, (np.zeros((1, 2), np.int32), spike[None], True)]
     counts = [len(offset_rc) for offset_rc, _, _ in points]
     return PointTable(
         np.concatenate([np.zeros((0, 2), np.int32), *(offset_rc for offset_rc, _, _ in points)]),
         np.concatenate([np.zeros((0, n_channels), np.float32), *(value for _, value, _ in points)]),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         np.array([direct for _, _, direct in points], np.bool_),
-    )
+    ), spike_of
+
+
+def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int) -> SplatPass:
+    """Return the pass that draws the spikes of the pixels of another."""
+    base = len(spike_of) * np.arange(n_layers, dtype=np.int32)[:, None]
+    label = np.append(np.where(spike_of >= 0, base + spike_of, np.int32(-1)), np.int32(-1))
+    return frame._replace(label=label[frame.label])
 
 
 def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
@@ -337,14 +358,18 @@ def _splat_passes(parts: Iterator[_Part], table: PointTable, n_layers: int, stoc
     yield from pool(shifted, table.reaches, n_layers)
 
 
-def _variation(variants: list[Variant], table: PointTable, database: Database) -> npt.NDArray[np.float32]:
-    """Return the total variation of each variant's PSF, infinite where it is drawn directly."""
+def _variation(
+    variants: list[Variant], spikes: list[npt.NDArray[np.float32]], table: PointTable, database: Database
+) -> npt.NDArray[np.float32]:
+    """Return the total variation of each variant's PSF without its spike, infinite where it is drawn directly."""
     stored = database.statistics()["total_variation"]
-    variation = np.full(len(variants), np.inf, np.float32)
+    variation = np.full(table.n_variants, np.inf, np.float32)
     for number, variant in enumerate(variants):
         if not table.direct[number]:
             # A PSF stretched by s is lower by s^2 and its outline longer by s.
-            variation[number] = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
+            whole = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
+            # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
+            variation[number] = max(whole - 4.0 * spikes[number].min(), 0.0)
     return variation
 
 

@@ -204,7 +204,7 @@ def synthesize(
     """
     options, clock = options or Options(), clock or Clock()
     _warn_about_view(database, camera, frame.shape[1])
-    effects = {"defocus": options.defocus, "motion": options.motion}
+    effects = {"defocus": options.defocus, "motion": options.motion, "curved": database.grid.model.has_motion}
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
@@ -415,8 +415,8 @@ def _splat_layer(
         assert canvas is not None, "only layers with splats are drawn"
         padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
         drawn = [levels for levels in sources if any(len(each.of(sparse)) for each in levels)]
-        for count, levels in enumerate(drawn):
-            splat_laplacian(padded, canvas, levels, sparse, plan.table, fresh=count == 0)
+        if drawn:
+            splat_laplacian(padded, canvas, drawn, sparse, plan.table)
     if drawn:
         with clock.step("integrate"):
             padded = solver(padded)

@@ -23,6 +23,32 @@ STRIDES = (1, 2, 4)
 """Sides of the blocks, px, that can be drawn as one."""
 
 Image = npt.NDArray[np.float32]
+Level = tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]
+"""Colours, runs and where the runs of each row begin, as `runtime._kernels.splat_levels` takes them."""
+
+
+class Spans(NamedTuple):
+    """Direct points that are neighbours in rows: see `runtime._kernels.splat_spans`.
+
+    Attributes
+    ----------
+    places : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
+        Row and column of each span's first point; where its points begin.
+    value : ndarray of shape (n_points * 4,), float32
+        Values of the points for R, G, B and alpha.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        Where the spans of each variant begin.
+    """
+
+    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+    value: Image
+    span_of_variant: npt.NDArray[np.int64]
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """The largest row of a span, up or down, and the most points of a span."""
+        row, _, start = self.places
+        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +88,27 @@ class PointTable:
         if not len(self.direct):
             return np.zeros(0, np.int64)
         return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
+
+    @cached_property
+    def lanes(self) -> Image:
+        """The values as kernels take them: of shape (n_points, 1), or (n_points, 4) with the mean for alpha."""
+        if self.value.shape[1] == 1:
+            return self.value
+        return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
+
+    @cached_property
+    def spans(self) -> Spans:
+        """The points of direct variants, those grouped that are neighbours in a row."""
+        row, col = self.offset_rc[np.repeat(self.direct, self.n_points)].T.astype(np.int64)
+        point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
+        breaks = np.ones(len(row), np.bool_)
+        breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
+        breaks[point_start[point_start < len(row)]] = True
+        first = np.flatnonzero(breaks)
+        start = np.append(first, len(row))
+        value = np.empty((len(row), 4), np.float32)
+        value[:] = self.lanes[np.repeat(self.direct, self.n_points)]
+        return Spans((row[first], col[first], start), value.reshape(-1), np.searchsorted(first, point_start))
 
     @cached_property
     def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
@@ -167,45 +214,42 @@ def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable,
 
 
 def splat_laplacian(
-    image: Image, canvas: Canvas, levels: Sequence[Runs], group: int, table: PointTable, *, fresh: bool = True
+    image: Image, canvas: Canvas, passes: Sequence[Sequence[Runs]], group: int, table: PointTable
 ) -> None:
-    """Draw one group of sparse variants into an image, in place.
+    """Draw one group of sparse variants into an image.
 
     Parameters
     ----------
     image : ndarray of shape (canvas.rows, canvas.cols, 4), float32, contiguous
-        Laplacian image.
+        Laplacian image; overwritten.
     canvas : Canvas
         Every splat must lie within it.
-    levels : sequence of Runs
-        Single pixels and blocks, of different strides.
+    passes : sequence of sequences of Runs
+        For each pass single pixels and blocks, of different strides.
     group : int
         The group to draw.
     table : PointTable
         Points of the variants.
-    fresh : bool
-        Whether to overwrite the image rather than to add to it.
     """
-    by_stride = {each.source.stride: each for each in levels}
-    nothing = np.zeros(0, np.float32), np.zeros((0, 5), np.int32), np.zeros(canvas.rows + 1, np.int64)
-    drawn = tuple(_level(by_stride[stride], group, canvas) if stride in by_stride else nothing for stride in STRIDES)
+    flat = [each for levels in passes for each in levels if len(each.of(group))]
+    drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
     offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
     _kernels.point_offsets(table.offset_rc, canvas.cols, offsets)
     scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
-    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.value, place, scratch, BAND_ROWS, fresh)
+    _kernels.splat_levels(rows, drawn, offsets, table.rows, table.lanes, place, scratch, BAND_ROWS)
 
 
 def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
     """Add one group of direct variants to an image in place; arguments as for `splat_laplacian`, of stride 1."""
     if not len(source.of(group)):
         return
-    spans, value, span_of_variant = _spans(table, canvas.cols)
-    place = canvas.top, canvas.left, canvas.cols
+    spans = table.spans
+    place = canvas.top, canvas.left, canvas.cols, *spans.extent
     level = _level(source, group, canvas)
-    _kernels.splat_spans(image.reshape(-1), level, spans, value, span_of_variant, place, BAND_ROWS)
+    _kernels.splat_spans(image.reshape(-1), level, *spans, place, BAND_ROWS)
 
 
 def sum_rows(image: Image) -> Image:
@@ -214,26 +258,35 @@ def sum_rows(image: Image) -> Image:
     return image
 
 
-def _level(source: Runs, group: int, canvas: Canvas) -> tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+def _level(source: Runs, group: int, canvas: Canvas) -> Level:
     """Return the flattened colours, the runs, and where the runs of each row of the canvas begin."""
     runs = source.of(group)
-    row_start = np.searchsorted(runs[:, _kernels.RUN_ROW], canvas.top + np.arange(canvas.rows + 1))
-    return source.source.radiance.reshape(-1), runs, row_start.astype(np.int64)
+    return source.source.radiance.reshape(-1), runs, _row_start(runs, canvas)
 
 
-def _spans(
-    table: PointTable, cols: int
-) -> tuple[tuple[npt.NDArray[np.int64], ...], npt.NDArray[np.float32], npt.NDArray[np.int64]]:
-    """Group points that are neighbours in a row; see `runtime._kernels.splat_spans` for what is returned."""
-    row, col = table.offset_rc.T.astype(np.int64)
-    breaks = np.ones(len(row), np.bool_)
-    breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
-    breaks[table.point_start[:-1]] = True
-    first = np.flatnonzero(breaks)
-    spans = row[first], 4 * (row[first] * cols + col[first]), np.append(first, len(row))
-    lanes = [0, 0, 0, 0] if table.value.shape[1] == 1 else [0, 1, 2, 3]
-    coloured = np.concatenate([table.value, table.value.mean(axis=1, keepdims=True)], axis=1)
-    return spans, coloured[:, lanes].reshape(-1), np.searchsorted(first, table.point_start)
+def _row_start(runs: npt.NDArray[np.int32], canvas: Canvas) -> npt.NDArray[np.int64]:
+    rows = canvas.top + np.arange(canvas.rows + 1)
+    return np.searchsorted(runs[:, _kernels.RUN_ROW], rows).astype(np.int64)
+
+
+def _joined(sources: Sequence[Runs], group: int, canvas: Canvas) -> Level:
+    """Do as `_level` for the runs of several passes of one stride."""
+    if len(sources) == 1:
+        return _level(sources[0], group, canvas)
+    parts = [each.of(group) for each in sources]
+    runs = np.concatenate([np.zeros((0, 5), np.int32), *parts])
+    order = np.argsort(runs[:, _kernels.RUN_ROW], kind="stable")
+    ends = np.cumsum(runs[order, _kernels.RUN_LENGTH], dtype=np.int64)
+    place = np.empty(len(runs), np.int64)
+    place[order] = ends - runs[order, _kernels.RUN_LENGTH]
+    colours = np.empty(4 * int(ends[-1]) if len(ends) else 0, np.float32)
+    begin = 0
+    for each, part in zip(sources, parts, strict=True):
+        _kernels.collect_runs(each.source.radiance.reshape(-1), part, place[begin : begin + len(part)], colours)
+        begin += len(part)
+    runs[:, _kernels.RUN_SOURCE] = place
+    runs = runs[order]
+    return colours, runs, _row_start(runs, canvas)
 
 
 def gather(source: SplatPass, table: PointTable) -> Image:
@@ -259,6 +312,6 @@ def gather(source: SplatPass, table: PointTable) -> Image:
     cols = padded.shape[1]
     image = np.zeros_like(source.radiance)
     _kernels.gather_runs(
-        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.value, table.point_start, cols
+        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.lanes, table.point_start, cols
     )
     return image

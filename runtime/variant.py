@@ -36,6 +36,8 @@ MIN_ROW_STEP = 2e-3
 
 FULL_MARGIN = 16
 """Border, px, of the solve that turns a spreadlet into its PSF."""
+SPIKE_SHARE = 0.01
+"""A spike that holds less than this share of a channel's light is left where it is."""
 HULL_TOLERANCE = 1e-6
 """How far outside the hull of its points, px, a pixel still counts as on it: rounding."""
 
@@ -123,6 +125,41 @@ def in_full(spreadlet: Spreadlet) -> Spreadlet:
     # The second moments of a Laplacian are those of its image's sum.
     psf *= spreadlet.moments()[4:].sum(axis=0) / (4.0 * psf.sum(axis=(0, 1)))
     return _dense_points(psf)
+
+
+def split_spike(points: Points) -> tuple[Points, npt.NDArray[np.float32]]:
+    """Take what the central pixel of a PSF has above its neighbours off its points.
+
+    Light that passes a medium unscattered stays in its pixel, and its texture is seen as it is. The rest is smooth.
+
+    Parameters
+    ----------
+    points : Points
+        As from `variant_points`.
+
+    Returns
+    -------
+    points : Points
+        What is left: values at the same places.
+    spike : ndarray of shape (C,), float32
+        What was taken off; zero if there is no spike, or the points are direct.
+    """
+    offset_rc, value, direct = points
+    nothing = np.zeros(value.shape[1], np.float32)
+    if direct:
+        return points, nothing
+    distance = (offset_rc * offset_rc).sum(axis=1)
+    centre, around = np.flatnonzero(distance == 0), np.flatnonzero(distance == 1)
+    if len(centre) != 1 or len(around) != 4:
+        return points, nothing
+    spike = np.minimum(value[around].min(axis=0), -0.25 * value[centre[0]])
+    energy = 0.25 * distance @ value
+    if not (spike > SPIKE_SHARE * energy).all():
+        return points, nothing
+    rest = value.copy()
+    rest[around] -= spike
+    rest[centre] += 4 * spike
+    return (offset_rc, rest, direct), spike
 
 
 def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -14,6 +14,11 @@ from spreadlets.psf_model import Angle, PsfModel
 
 FloatArray = npt.NDArray[np.float32]
 
+BLOCKS = (1, 2, 4)
+"""Sides, px, of blocks of pixels for which a lens may be the same: those that the level of detail can draw as one."""
+LEAST_BLOCKS = 64
+"""How many of them there are across the image at least; else they are smaller."""
+
 
 class View(NamedTuple):
     """What the place of a pixel in the image stands for.
@@ -36,6 +41,17 @@ class View(NamedTuple):
         """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""
         height, width = self.depth.shape
         x, y = np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1)
+        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+
+    def block_position(self) -> FloatArray:
+        """Return the place (x, y), from the image's centre, of the middle of the block that each pixel is in, px.
+
+        A lens changes from one side of the image to the other. Neighbours that share their PSF are drawn as one.
+        """
+        height, width = self.depth.shape
+        block = max(size for size in BLOCKS if size * LEAST_BLOCKS <= max(height, width) or size == 1)
+        middle = [np.arange(size) // block * block + 0.5 * (block - 1) for size in (width, height)]
+        x, y = middle[0] - 0.5 * (width - 1), middle[1] - 0.5 * (height - 1)
         return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
 
     def image_height(self) -> FloatArray:
@@ -83,7 +99,8 @@ def _distance(labels: Labels) -> FloatArray:
 
 
 def _sensor_height(labels: Labels) -> FloatArray:
-    return labels.view.image_height() * np.float32(labels.view.sensor_mm_per_px)
+    place = labels.view.block_position()
+    return np.hypot(place[..., 0], place[..., 1]) * np.float32(labels.view.sensor_mm_per_px)
 
 
 COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
@@ -97,7 +114,7 @@ COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
 
 DIRECTIONS: dict[Angle, Callable[[Labels], FloatArray]] = {
     "motion": lambda labels: labels.path,
-    "azimuth": lambda labels: labels.view.position(),
+    "azimuth": lambda labels: labels.view.block_position(),
 }
 """The vector (dx, dy) that gives a pixel's direction, shape (H, W, 2)."""
 

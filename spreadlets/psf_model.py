@@ -182,6 +182,11 @@ class PsfModel:
         """Number of parameters."""
         return len(self.axes)
 
+    @property
+    def has_motion(self) -> bool:
+        """Whether the PSFs are those of things that move."""
+        return any(axis.name == "motion" for axis in self.axes)
+
 
 def _coc_floor(max_coc: float) -> float:
     return min(COC_FLOOR_PX, 0.5 * max_coc)

@@ -151,6 +151,30 @@ def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog):
     assert sparse[..., 2].mean() < clear[..., 2].mean()
 
 
+def test_fog_keeps_the_texture_that_light_brings_through_it(fog):
+    """Blocks of pixels are drawn as one, but not what was never scattered."""
+    rng = np.random.default_rng(1)
+    radiance = (0.2 + 0.002 * rng.random((SIZE, SIZE, 3))).astype(np.float32)
+    frame = Frame(radiance, np.full((SIZE, SIZE), 3.0, np.float32))
+    with pytest.warns(UserWarning, match="no axis 'coc'"):
+        exact, whole = synthesize(frame, CAMERA, fog, tolerance=0.0, report=True)
+        merged, report = synthesize(frame, CAMERA, fog, report=True)
+    assert report["plan"]["pixels_merged"] > 0.9 * radiance[..., 0].size
+    assert report["plan"]["points_splatted"] < 0.5 * whole["plan"]["points_splatted"]
+    assert report["plan"]["pixels_sparse"] == whole["plan"]["pixels_sparse"] and not report["plan"]["pixels_dense"]
+    assert (merged[..., 1] - exact[..., 1]).std() < 0.1 * exact[..., 1].std()
+
+
+def test_a_still_psf_is_drawn_once_however_curved_the_path(lens):
+    straight = noise_frame(4.9, 5.1)
+    motion = np.broadcast_to(np.float32([9.0, 0.0]), (SIZE, SIZE, 2))
+    paths = {"motion": motion, "motion_prev": motion[..., ::-1], "motion_next": motion}
+    curved = Frame(straight.radiance[..., :3], straight.depth, **paths)
+    with pytest.warns(UserWarning, match="no axis 'motion': it is ignored on 100.0 %"):
+        image = quiet(curved, lens)
+    np.testing.assert_array_equal(image, quiet(straight, lens))
+
+
 def test_beyond_the_last_distance_the_last_cell_is_used(fog):
     frame = spot_frame(32, 32, 0.0, depth=9.0)
     with pytest.warns(UserWarning, match="100.00 % of the pixels lie beyond the database's largest distance, 4 m"):

@@ -47,7 +47,7 @@ def drawn(table, sources, group):
     if group in DIRECT:
         splat_direct(image, canvas, runs[0], group, table)
     else:
-        splat_laplacian(image, canvas, runs, group, table)
+        splat_laplacian(image, canvas, [runs], group, table)
     return canvas, image
 
 
@@ -73,21 +73,23 @@ def test_blocks_are_drawn_as_all_their_pixels_would(n_channels, group):
 
 
 @pytest.mark.interpreted
-def test_passes_add_up():
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_passes_add_up(n_channels):
     rng = np.random.default_rng(9)
-    table, sources = random_table(rng, 1), [random_levels(rng), [random_pass(rng)]]
+    table = random_table(rng, n_channels)
+    sources = [random_levels(rng), [random_pass(rng)], random_levels(rng)[:2]]
     runs = [[find_runs(each, table, N_LAYERS) for each in levels] for levels in sources]
     canvas = canvas_of([each for levels in runs for each in levels], (0,), table, 0)
     image = np.full((canvas.rows, canvas.cols, 4), 7.0, np.float32)
-    for number, levels in enumerate(runs):
-        splat_laplacian(image, canvas, levels, 0, table, fresh=number == 0)
+    splat_laplacian(image, canvas, runs, 0, table)
     expected = splat_naive(canvas, [each for levels in sources for each in levels], 0, table)
     assert np.allclose(image, expected, atol=5e-5)
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads():
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_the_result_does_not_depend_on_the_number_of_threads(n_channels):
     rng = np.random.default_rng(5)
-    table, sources = random_table(rng, 1), random_levels(rng)
+    table, sources = random_table(rng, n_channels), random_levels(rng)
     images = []
     for threads in (1, 2):
         before = numba.get_num_threads()
@@ -108,6 +110,28 @@ def test_direct_points_that_are_neighbours_are_drawn_like_single_ones(n_channels
     table = PointTable(offset, value, np.array([0, len(grid), len(offset)]), np.ones(2, bool))
     canvas, image = drawn(table, [source], 1)
     assert np.allclose(image, splat_naive(canvas, [source], 1, table), atol=2e-5)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_long_runs_draw_direct_points_like_short_ones(n_channels):
+    rng = np.random.default_rng(6)
+    table = random_table(rng, n_channels)
+    source = SplatPass((0, 0), rng.random((9, 40, 4)).astype(np.float32), np.ones((9, 40), np.int32))
+    canvas, image = drawn(table, [source], 1)
+    assert np.allclose(image, splat_naive(canvas, [source], 1, table), atol=2e-5)
+
+
+def test_passes_of_one_table_are_drawn_into_canvases_of_any_width():
+    rng = np.random.default_rng(11)
+    table = random_table(rng, 1)
+    widths = []
+    for cols in (9, 23, 9):
+        source = random_pass(rng, shape=(20, cols), shift=0)
+        canvas, image = drawn(table, [source], 0)
+        widths.append(canvas.cols)
+        assert np.allclose(image, splat_naive(canvas, [source], 0, table), atol=2e-5)
+    assert widths[0] == widths[2] < widths[1]
 
 
 @pytest.mark.interpreted

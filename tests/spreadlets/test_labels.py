@@ -41,6 +41,15 @@ def test_directions_are_those_of_motion_and_of_the_place():
     np.testing.assert_array_equal(place[0], [[-1.0, -0.5], [0.0, -0.5], [1.0, -0.5]])
 
 
+@pytest.mark.parametrize("size, block", [(100, 1), (200, 2), (500, 4)])
+def test_pixels_of_a_block_have_one_place_on_the_lens(size, block):
+    view = View(np.ones((8, size), np.float32), 1.0, 0.5)
+    coarse, place = view.block_position(), view.position()
+    assert np.array_equal(coarse, coarse[::block, ::block].repeat(block, 0).repeat(block, 1)[:8, :size])
+    assert len(np.unique(coarse[0, :, 0])) == size // block
+    assert np.abs(coarse - place).max() == 0.5 * (block - 1)
+
+
 @pytest.mark.parametrize(
     "name, ignored",
     [
