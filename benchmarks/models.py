@@ -82,6 +82,7 @@ ENLARGED_DEPTH_STEP = 0.02
 
 FRAME_COLUMNS = ("database", "scene", "ssim", "loss", "psnr", "points/px", "s", "dense s", "ratio")
 FRAME_NOTE = """s: splat and integrate, of spreadlets and of the same PSFs drawn in full, pixel by pixel.
+1024 px: the same frames, enlarged, for the width that the database is made for.
 """
 SPREADLET_NOTE = """s each: the time of a pose; of a sample it is the processor's, of a database that ships what its
 build recorded, on a machine that others used as well. MB: of a sample, for all its cells.
