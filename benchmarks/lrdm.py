@@ -1,6 +1,6 @@
 """The layered reconstructions of defocus and motion blur (`runtime.sheared.lrdm`) on three rendered frames.
 
-    python benchmarks/lrdm.py [--frames DIR]
+    python benchmarks/lrdm.py [--frames DIR] [--tables quality merging sparse settings memory speed defocus]
 
 PSNR is of displayed images against the renderer's converged lens and shutter. Tables:
 
@@ -12,7 +12,7 @@ PSNR is of displayed images against the renderer's converged lens and shutter. T
   and the image, too) beyond the samples that were given.
 
 Times are CPU seconds of the process with one thread, the least of several runs that alternate, so they compare even
-when the machine does other things. Writes lrdm.txt and a picture of each frame (4 samples: `lrdm`, `lrdm-sheared`,
+when the machine does other things. Writes lrdm.txt, in which tables that were not asked for stay, and a picture of each frame (4 samples: `lrdm`, `lrdm-sheared`,
 `lrdm-ewa`, the mean, the reference, 4 times the difference of the first from it) to benchmarks/results.
 """
 
@@ -204,22 +204,36 @@ def memory(found: list[Scene], report: Report) -> None:
     report.add()
 
 
+TABLES = {
+    "quality": quality,
+    "merging": merging,
+    "sparse": sparse,
+    "settings": other_settings,
+    "memory": memory,
+    "speed": speed,
+    "defocus": defocus_only,
+}
+"""In the order of lrdm.txt, in which an empty line ends each."""
+
+
 def main() -> None:
-    given = parser(__doc__).parse_args()
+    options = parser(__doc__)
+    options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
+    given = options.parse_args()
     numba.set_num_threads(1)
     found = scenes(given.frames)
     if not found:
         return
-    report = Report()
     assert Lrdm().shrink < 0 and Lrdm().sparsity == 0  # `lrdm` is as its authors have it
-    quality(found, report)
-    merging(found, report)
-    sparse(found, report)
-    other_settings(found, report)
-    memory(found, report)
-    speed(found, report)
-    defocus_only(found, report)
-    report.save("lrdm.txt")
+    path = RESULTS / "lrdm.txt"
+    texts = path.read_text().split("\n\n") if path.exists() else []
+    kept = dict(zip(TABLES, texts, strict=False))
+    for name in TABLES:
+        if name in given.tables:
+            report = Report()
+            TABLES[name](found, report)
+            kept[name] = "\n".join(report.lines).rstrip("\n")
+    path.write_text("\n\n".join(kept[name] for name in TABLES if name in kept) + "\n")
 
 
 if __name__ == "__main__":

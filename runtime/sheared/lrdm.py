@@ -22,7 +22,12 @@ from runtime.sheared.tiles import DEFAULT_TILE, Tiling
 from runtime.sheared.work import WorkSizes
 from spreadlets.errors import InvalidParameterError
 
-SCREEN_FILTERS = {"rotated": _gauss_kernels.ROTATED, "sheared": _gauss_kernels.SHEARED, "ewa": _gauss_kernels.EWA}
+SCREEN_FILTERS = {
+    "rotated": (_gauss_kernels.ROTATED, _gauss_kernels.ROUND_ROTATED),
+    "sheared": (_gauss_kernels.SHEARED, _gauss_kernels.ROUND_SHEARED),
+    "ewa": (_gauss_kernels.EWA, _gauss_kernels.ROUND_EWA),
+}
+"""Numbers of the screen filters with motion, and of those for defocus alone."""
 
 DEFAULT_SIGMA_PIXEL = 0.5
 """px; LRDM's figure 9 trades streaks for sharpness with it: .33 there."""
@@ -51,6 +56,7 @@ Jobs = tuple[
     npt.NDArray[np.int64],
     npt.NDArray[np.int64],
     npt.NDArray[np.int64],
+    npt.NDArray[np.int32],
     npt.NDArray[np.int32],
     npt.NDArray[np.int64],
 ]
@@ -131,7 +137,7 @@ class Lrdm:
     def prepare(self, samples: Samples, tiling: Tiling) -> LrdmFilter:
         """Find the layers of each tile and set their filters up."""
         moving = not self.skip_motion or bool(samples.motion.any())
-        spread = spread_of(samples)
+        spread = spread_of(samples, moving)
         partition = self.partitions(samples)
         begin = time.perf_counter()
         tables = self.set_up(samples, partition, tiling, spread, moving)
@@ -251,7 +257,7 @@ class LrdmFilter:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks; they share their buffers."""
-        rings = np.empty((len(self.tables.filters), 2), np.int32)
+        rings = np.empty((len(self.tables.filters), 3), np.int32)
         _gauss_kernels.ring_of_layers(self._way, self.tables.filters, _lrdm_kernels.SXX, rings)
         found = [self._jobs(tiles, rings) for tiles in self._tiles_of_blocks()]
         size = max(int(jobs[-1][-1]) for _, _, jobs in found)
@@ -288,7 +294,7 @@ class LrdmFilter:
     @property
     def _way(self) -> int:
         """Number of the screen filter."""
-        return SCREEN_FILTERS[self.method.screen_filter]
+        return SCREEN_FILTERS[self.method.screen_filter][not self.moving]
 
     def figures(self) -> dict[str, float]:
         """Return the mean numbers of partitions and layers of a tile, and the time of the set-up."""
@@ -317,15 +323,21 @@ class LrdmFilter:
         number = np.arange(first_job[-1]) - first_job[of_tile]
         layer = first[tiles[of_tile]] + number
         corner = inner[tiles[of_tile], :2]
-        ring = rings[layer][:, ::-1]
+        ring, texel = rings[layer, 1::-1], rings[layer, 2]
         boxes = np.concatenate([corner - ring, corner + side + ring], axis=1).astype(np.int32)
-        sizes = np.prod((side + 2 * ring).astype(np.int64), axis=1) * N_SUMS
+        sizes = np.prod(((side + 2 * ring) // texel[:, None]).astype(np.int64), axis=1) * N_SUMS
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, starts)
+        return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, texel, starts)
 
 
-def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
+def spread_of(samples: Samples, moving: bool = True) -> npt.NDArray[np.float64]:
     """Return how far samples spread over lens and shutter.
+
+    Parameters
+    ----------
+    samples : Samples
+    moving : bool
+        Whether anything moves; else the shutter does not count.
 
     Returns
     -------
@@ -336,7 +348,7 @@ def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
     sums = np.zeros((max(-(-n // SAMPLES_AT_A_TIME), 1), 4))
 
     def work(begin: int, end: int) -> None:
-        _lrdm_kernels.sum_spread(samples.lens, samples.time, begin, end, sums[begin // SAMPLES_AT_A_TIME])
+        _lrdm_kernels.sum_spread(samples.lens, samples.time, moving, begin, end, sums[begin // SAMPLES_AT_A_TIME])
 
     in_parts(work, n, SAMPLES_AT_A_TIME)
     variances = sums[:, : _lrdm_kernels.LENS_REACH].sum(axis=0) / max(n, 1)
