@@ -227,7 +227,7 @@ def main() -> None:
     assert Lrdm().shrink < 0 and Lrdm().sparsity == 0  # `lrdm` is as its authors have it
     path = RESULTS / "lrdm.txt"
     texts = path.read_text().split("\n\n") if path.exists() else []
-    kept = dict(zip(TABLES, texts, strict=False))
+    kept = dict(zip(TABLES, texts, strict=True)) if len(texts) == len(TABLES) else {}
     for name in TABLES:
         if name in given.tables:
             report = Report()

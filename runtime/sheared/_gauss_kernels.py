@@ -61,6 +61,12 @@ def sheared_axes(sxx, sxy, syy):
 
 
 @Kernel
+def shear_margin(sigma_y, beta):
+    """Return how far a filter along the sheared axis reaches along x, px."""
+    return int(math.ceil(abs(beta) * radius_of(sigma_y))) + 1
+
+
+@Kernel
 def recursion(sigma):
     """Return gamma of the recursive filter (LRDM Eq. 10)."""
     return math.exp(-math.sqrt(2.0) / sigma) if sigma > 0.0 else 0.0
@@ -123,7 +129,7 @@ def ring_of(way, sxx, sxy, syy):
     if way == SHEARED or way == ROUND_SHEARED:
         sigma_x, sigma_y, beta = sheared_axes(sxx, sxy, syy)
         along = radius_of(sigma_y)
-        return radius_of(sigma_x) + int(math.ceil(abs(beta) * along)) + 2, along, 1
+        return radius_of(sigma_x) + shear_margin(sigma_y, beta) + 1, along, 1
     longer, shorter, cosine, sine, probes, n_taps, level = footprint_of(sxx, sxy, syy)
     fine, coarse = 1 << int(math.floor(level)), 1 << int(math.ceil(level))
     along, across = taps_of(longer, shorter, n_taps)
@@ -487,8 +493,8 @@ def first_pass(way, sums, covariance, ring, tile, between):
         for row in range(height):
             along_line(sums[row].reshape(width * N_SUMS), ring[0] * N_SUMS, N_SUMS, weights, target[row])
     elif way == SHEARED or way == ROUND_SHEARED:
-        sigma_x, _, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
-        margin = ring[0] if way == SHEARED else 0
+        sigma_x, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
+        margin = shear_margin(sigma_y, beta) if way == SHEARED else 0
         cols = tile[1] + 2 * margin
         target = between[: height * cols * N_SUMS].reshape((height, cols, N_SUMS))
         begin = ring[0] - margin
@@ -531,7 +537,10 @@ def second_pass(way, sums, covariance, ring, between, blurred):
         along_direction(source, gaussian(sigma_v, REACH), -sine, cosine, down, right, blurred)
     elif way == SHEARED:
         _, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
-        along_shear(between.reshape(sums.shape), gaussian(sigma_y, REACH), beta, ring[0], blurred)
+        margin = shear_margin(sigma_y, beta)
+        height, width = sums.shape[0], cols + 2 * margin
+        source = between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
+        along_shear(source, gaussian(sigma_y, REACH), beta, margin, blurred)
     elif way == ROUND_ROTATED or way == ROUND_SHEARED:
         weights, stride = gaussian(math.sqrt(covariance[2]), REACH), blurred.shape[1]
         for row in range(rows):

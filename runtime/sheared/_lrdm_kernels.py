@@ -73,24 +73,6 @@ def add_moments(moments, p, weight, coc, motion, moving):
 
 
 @Kernel
-def sum_spread(lens, time, moving, begin, end, sums):
-    """Fill ``sums`` (4,) with sums of squares of samples begin to end - 1, and the largest; see `LENS_VARIANCE`.
-
-    Those of time are 0 unless something moves.
-    """
-    sums[:] = 0.0
-    for i in range(begin, end):
-        u, v = np.float64(lens[i, 0]), np.float64(lens[i, 1])
-        sums[LENS_VARIANCE] += 0.5 * (u * u + v * v)
-        sums[LENS_REACH] = max(sums[LENS_REACH], abs(u), abs(v))
-    if moving:
-        for i in range(begin, end):
-            t = np.float64(time[i])
-            sums[TIME_VARIANCE] += t * t
-            sums[TIME_REACH] = max(sums[TIME_REACH], abs(t))
-
-
-@Kernel
 def next_random(state):
     """Return the next number of Marsaglia's 32-bit xor-shift generator."""
     state ^= np.uint32(state << np.uint32(13))

@@ -47,6 +47,8 @@ TILE_UNIT = 32
 """px: tiles are multiples of the largest texel of a pyramid."""
 SAMPLES_AT_A_TIME = 1 << 16
 """For what is done sample by sample."""
+SUMMED_AT_A_TIME = 1 << 13
+"""Of numbers that are summed in single precision; more would cost digits."""
 SEED = 0x9E3779B9
 """Of the sparse statistics."""
 
@@ -344,15 +346,25 @@ def spread_of(samples: Samples, moving: bool = True) -> npt.NDArray[np.float64]:
     ndarray of shape (4,)
         Variance along one axis of the lens, variance of time (frames^2), and the largest of either.
     """
-    n = len(samples.time)
-    sums = np.zeros((max(-(-n // SAMPLES_AT_A_TIME), 1), 4))
+    spread = np.zeros(4)
+    spread[_lrdm_kernels.LENS_VARIANCE] = _mean_square(samples.lens)
+    spread[_lrdm_kernels.LENS_REACH] = _largest(samples.lens)
+    if moving:
+        spread[_lrdm_kernels.TIME_VARIANCE] = _mean_square(samples.time)
+        spread[_lrdm_kernels.TIME_REACH] = _largest(samples.time)
+    return spread
 
-    def work(begin: int, end: int) -> None:
-        _lrdm_kernels.sum_spread(samples.lens, samples.time, moving, begin, end, sums[begin // SAMPLES_AT_A_TIME])
 
-    in_parts(work, n, SAMPLES_AT_A_TIME)
-    variances = sums[:, : _lrdm_kernels.LENS_REACH].sum(axis=0) / max(n, 1)
-    return np.concatenate([variances, sums[:, _lrdm_kernels.LENS_REACH :].max(axis=0)])
+def _mean_square(values: FloatArray) -> float:
+    """Return the mean square of values, 0 of none."""
+    flat = values.reshape(values.size)
+    parts = [flat[begin : begin + SUMMED_AT_A_TIME] for begin in range(0, flat.size, SUMMED_AT_A_TIME)]
+    return sum(float(np.einsum("i,i->", part, part)) for part in parts) / max(flat.size, 1)
+
+
+def _largest(values: FloatArray) -> float:
+    """Return the largest absolute value, 0 of none."""
+    return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
 
 
 @lru_cache
