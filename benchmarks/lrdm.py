@@ -12,8 +12,9 @@ PSNR is of displayed images against the renderer's converged lens and shutter. T
   and the image, too) beyond the samples that were given.
 
 Times are CPU seconds of the process with one thread, the least of several runs that alternate, so they compare even
-when the machine does other things. Writes lrdm.txt, in which tables that were not asked for stay, and a picture of each frame (4 samples: `lrdm`, `lrdm-sheared`,
-`lrdm-ewa`, the mean, the reference, 4 times the difference of the first from it) to benchmarks/results.
+when the machine does other things. Writes lrdm.txt, in which tables that were not asked for stay, and a picture of each
+frame (4 samples: `lrdm`, `lrdm-sheared`, `lrdm-ewa`, the mean, the reference, 4 times the difference of the first from
+it) to benchmarks/results.
 """
 
 import time
