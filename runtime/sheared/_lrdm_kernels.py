@@ -332,7 +332,7 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
     settings : tuple
         Variance of the pixel filter, largest variance, whether there is motion, and by how much filters may shrink.
     tables : tuple
-        ``own`` and ``holes`` (T, P) int16, ``filters`` (T, P, N_FILTER) float64, ``counts`` (T, 2) int32: of used
+        ``own`` and ``holes`` (T, P) int16, ``filters`` (T, P, N_FILTER) float32, ``counts`` (T, 2) int32: of used
         partitions and of layers. Filled.
     """
     pixel, largest, moving, shrink = settings

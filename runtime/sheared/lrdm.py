@@ -170,7 +170,7 @@ class Lrdm:
         boxes, n_partitions = tiling.inner(), self.layers + 1
         shape = len(boxes), n_partitions
         own, holes = np.empty(shape, np.int16), np.empty(shape, np.int16)
-        filters, counts = np.zeros((*shape, _lrdm_kernels.N_FILTER)), np.empty((len(boxes), 2), np.int32)
+        filters, counts = np.empty((*shape, _lrdm_kernels.N_FILTER), np.float32), np.empty((len(boxes), 2), np.int32)
         sampling = self.sparsity, SEED
         given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
         settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
@@ -182,7 +182,7 @@ class Lrdm:
         in_parts(work, len(boxes), size or WorkSizes.current().set_up)
         used = np.arange(n_partitions) < counts[:, 1:]
         first = np.concatenate([[0], np.cumsum(counts[:, 1])]).astype(np.int64)
-        return Tables(own, holes, filters[used].astype(np.float32), first, int(counts[:, 0].sum()))
+        return Tables(own, holes, filters[used], first, int(counts[:, 0].sum()))
 
 
 @dataclass(frozen=True)
@@ -377,12 +377,13 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
 
 
 def in_parts(work: Work, n: int, size: int) -> None:
-    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
+    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing.
+
+    One thread does all at once.
+    """
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
     if min(numba.get_num_threads(), len(parts)) <= 1:
-        for part in parts:
-            work(*part)
-        return
+        return work(0, n)
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done in [pool.submit(work, *part) for part in parts]:
             done.result()
