@@ -89,10 +89,10 @@ def below(random, limit):
 
 @Kernel
 def bits_of(partition, begin, end):
-    """Return a word with a bit for each partition that some samples are in; those 32 apart share theirs."""
-    found, one, last = np.uint32(0), np.uint32(1), np.uint32(31)
+    """Return a word with a bit for each partition that some samples are in; those 64 apart share theirs."""
+    found, one, last = np.uint64(0), np.uint64(1), np.uint64(63)
     for i in range(begin, end):
-        found |= one << (np.uint32(partition[i]) & last)
+        found |= one << (np.uint64(partition[i]) & last)
     return found
 
 
@@ -119,7 +119,7 @@ def full_moments(samples, box, moving, only, moments):
     wanted = bits_of(numbers, 0, numbers.size)
     for row in range(top, bottom):
         begin, end = first[row * width + left], first[row * width + right]
-        if numbers.size < only.size and bits_of(partition, begin, end) & wanted == np.uint32(0):
+        if numbers.size < only.size and bits_of(partition, begin, end) & wanted == np.uint64(0):
             continue
         for i in range(begin, end):
             if only[partition[i]]:
@@ -144,6 +144,8 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
     partition, motion, coc, first, width = samples
     top, left, bottom, right = box
     state = np.uint32(seed)
+    taken = np.empty((order.shape[0] // sparsity + 1, 2), np.int64)  # samples, and how many there are in the pixel
+    n = 0
     for bucket in range(0, order.shape[0], sparsity):
         state = next_random(state)
         k = bucket + below(state, min(sparsity, order.shape[0] - bucket))
@@ -154,8 +156,12 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
         here = first[row * width + col + 1] - begin
         if here > 0:
             state = next_random(state)
-            i = begin + below(state, here)
-            add_moments(moments, partition[i], np.float64(here * sparsity), coc[i], motion[i], moving)
+            taken[n, 0], taken[n, 1] = begin + below(state, here), here
+            n += 1
+    # What is scattered over memory is fetched side by side, as no fetch waits for a random number any more.
+    for number in range(n):
+        i, weight = taken[number, 0], np.float64(taken[number, 1] * sparsity)
+        add_moments(moments, partition[i], weight, coc[i], motion[i], moving)
 
 
 @Kernel
