@@ -237,7 +237,7 @@ def main() -> None:
         return
     assert Lrdm().shrink < 0 and Lrdm().sparsity == 0  # `lrdm` is as its authors have it
     path = RESULTS / "lrdm.txt"
-    texts = path.read_text().split("\n\n") if path.exists() else []
+    texts = path.read_text().strip("\n").split("\n\n") if path.exists() else []
     kept = dict(zip(TABLES, texts, strict=True)) if len(texts) == len(TABLES) else {}
     for name in TABLES:
         if name in given.tables:
