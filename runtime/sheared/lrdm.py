@@ -138,7 +138,7 @@ class Lrdm:
 
     def prepare(self, samples: Samples, tiling: Tiling) -> LrdmFilter:
         """Find the layers of each tile and set their filters up."""
-        moving = not self.skip_motion or bool(samples.motion.any())
+        moving = not self.skip_motion or _largest(samples.motion) > 0.0
         spread = spread_of(samples, moving)
         partition = self.partitions(samples)
         begin = time.perf_counter()
