@@ -6,7 +6,10 @@ Three ways, each in two passes over the box of a layer, which is a tile and a ri
 - sheared: a recursive filter along x, then a Gaussian along a sheared axis (LRDM 2015 section 6.2);
 - ewa: a MIP pyramid, then lookups as texture hardware does them (section 6.1).
 
-`ring_of` says how wide the ring must be, `first_pass` and `second_pass` filter.
+Without motion all Gaussians are round, and each way has a shorter one: no interpolation between pixels, no shear, and
+four lookups that are two along x of two along y.
+
+`ring_of` says how wide the ring must be, and how coarse the sums may be; `first_pass` and `second_pass` filter.
 """
 
 import math
@@ -16,7 +19,7 @@ import numpy as np
 
 from runtime.sheared._tile_kernels import N_SUMS, composite, gaussian, share_out
 
-ROTATED, SHEARED, EWA = range(3)
+ROTATED, SHEARED, EWA, ROUND_ROTATED, ROUND_SHEARED, ROUND_EWA = range(6)
 
 REACH = 24
 """Radius of the largest 1D filter, px: three standard deviations of 8 px, SLR's clamp."""
@@ -32,6 +35,8 @@ NEARLY_ISOTROPIC = 2
 """Up to so many lookups along the longer axis, four taps are taken."""
 LEVELS = 6
 """Levels of the largest MIP pyramid; the last one has texels of 32 px."""
+ROWS_AT_A_TIME = 16
+"""Of the recursive filter."""
 ROUND = 1e-3
 """Relative difference of the axes below which a Gaussian is taken as round."""
 
@@ -53,6 +58,12 @@ def rotated_axes(sxx, sxy, syy):
 def sheared_axes(sxx, sxy, syy):
     """Return the standard deviations along x and along the sheared axis (beta, 1), and beta (LRDM Eqs. 5 to 9)."""
     return math.sqrt(max(sxx - sxy * sxy / syy, 0.0)), math.sqrt(syy), sxy / syy
+
+
+@Kernel
+def shear_margin(sigma_y, beta):
+    """Return how far a filter along the sheared axis reaches along x, px."""
+    return int(math.ceil(abs(beta) * radius_of(sigma_y))) + 1
 
 
 @Kernel
@@ -96,32 +107,51 @@ def footprint_of(sxx, sxy, syy):
 
 
 @Kernel
+def taps_of(longer, shorter, n_taps):
+    """Return how far the taps of a footprint are from its lookups, along and across it, px."""
+    if n_taps == 1:
+        return 0.0, 0.0
+    share = TAP_OFFSET * math.sqrt(0.5)  # on the diagonals of the footprint
+    return share * longer, share * shorter
+
+
+@Kernel
 def ring_of(way, sxx, sxy, syy):
-    """Return the width of the ring that a screen filter reaches, (x, y) px."""
+    """Return the width of the ring that a screen filter reaches, (x, y) px, and the side of the sums' texels, px."""
+    if way == ROUND_ROTATED:
+        radius = radius_of(math.sqrt(sxx))
+        return radius, radius, 1
     if way == ROTATED:
         sigma_u, sigma_v, cosine, sine = rotated_axes(sxx, sxy, syy)
         u, v = radius_of(sigma_u), radius_of(sigma_v)
         cosine, sine = abs(cosine), abs(sine)
-        return int(math.ceil(u * cosine + v * sine)) + 3, int(math.ceil(u * sine + v * cosine)) + 3
-    if way == SHEARED:
+        return int(math.ceil(u * cosine + v * sine)) + 3, int(math.ceil(u * sine + v * cosine)) + 3, 1
+    if way == SHEARED or way == ROUND_SHEARED:
         sigma_x, sigma_y, beta = sheared_axes(sxx, sxy, syy)
         along = radius_of(sigma_y)
-        return radius_of(sigma_x) + int(math.ceil(abs(beta) * along)) + 2, along
-    longer, shorter, cosine, sine, _, n_taps, level = footprint_of(sxx, sxy, syy)
-    texel = 1 << int(math.ceil(level))
-    share = 0.5 + (TAP_OFFSET if n_taps == 4 else 0.0)
-    x = share * (longer * abs(cosine) + shorter * abs(sine)) + 0.5 * texel
-    y = share * (longer * abs(sine) + shorter * abs(cosine)) + 0.5 * texel
-    # Whole texels of every level; a lookup reaches half a texel beyond the centres of the outermost.
-    return texel * int(math.ceil(x / texel)), texel * int(math.ceil(y / texel))
+        return radius_of(sigma_x) + shear_margin(sigma_y, beta) + 1, along, 1
+    longer, shorter, cosine, sine, probes, n_taps, level = footprint_of(sxx, sxy, syy)
+    fine, coarse = 1 << int(math.floor(level)), 1 << int(math.ceil(level))
+    along, across = taps_of(longer, shorter, n_taps)
+    along += (0.5 - 0.5 / probes) * longer
+    # A lookup reaches half a texel beyond its place. Whole texels of both levels.
+    x = (along * abs(cosine) + across * abs(sine)) / coarse + 0.5
+    y = (along * abs(sine) + across * abs(cosine)) / coarse + 0.5
+    return coarse * int(math.ceil(x)), coarse * int(math.ceil(y)), fine
 
 
 @Kernel
-def ring_of_layers(way, filters, columns, rings):
-    """Fill ``rings`` (L, 2), int32, with the rings of filters whose covariance is in three columns."""
+def ring_of_layers(way, filters, column, rings):
+    """Fill ``rings`` (L, 3), int32, with rings and texels of filters whose covariance is in three columns."""
     for layer in range(filters.shape[0]):
-        sxx, sxy, syy = filters[layer, columns], filters[layer, columns + 1], filters[layer, columns + 2]
-        rings[layer, 0], rings[layer, 1] = ring_of(way, sxx, sxy, syy)
+        covariance = covariance_in(filters[layer], column)
+        rings[layer, 0], rings[layer, 1], rings[layer, 2] = ring_of(way, covariance[0], covariance[1], covariance[2])
+
+
+@Kernel
+def covariance_in(numbers, column):
+    """Return xx, xy and yy of a filter (F,), from a column on."""
+    return np.float64(numbers[column]), np.float64(numbers[column + 1]), np.float64(numbers[column + 2])
 
 
 @Kernel
@@ -169,22 +199,77 @@ def along_direction(source, weights, step_x, step_y, top, left, target):
 
 
 @Kernel
-def recursive_rows(source, gamma, target):
-    """Filter rows (h, w, C) forth and back with ``out[i] = (1 - gamma) in[i] + gamma out[i -+ 1]`` (LRDM Eq. 10)."""
-    height, width, channels = source.shape
-    gain, keep = np.float32(1.0 - gamma), np.float32(gamma)
-    state = np.empty(channels, np.float32)
-    for row in range(height):
-        state[:] = np.float32(0.0)
-        for col in range(width):
-            for channel in range(channels):
-                state[channel] = gain * source[row, col, channel] + keep * state[channel]
-                target[row, col, channel] = state[channel]
-        state[:] = np.float32(0.0)
-        for col in range(width - 1, -1, -1):
-            for channel in range(channels):
-                state[channel] = gain * target[row, col, channel] + keep * state[channel]
-                target[row, col, channel] = state[channel]
+def along_line(source, begin, stride, weights, target):
+    """Filter along an axis of the image, with symmetric weights.
+
+    Parameters
+    ----------
+    source : ndarray of one dimension, float32
+    begin : int
+        Where the middle taps of the target are in the source.
+    stride : int
+        From one tap to the next.
+    weights : ndarray of shape (2 * radius + 1,), float32
+    target : ndarray of one dimension, float32
+        Filled. Every tap lies in the source.
+    """
+    n, radius = target.size, weights.size // 2
+    half, middle = weights[radius:], source[begin : begin + n]
+    for i in range(n):
+        target[i] = half[0] * middle[i]
+    k = 1
+    if radius % 2:
+        before, after = source[begin - stride :][:n], source[begin + stride :][:n]
+        for i in range(n):
+            target[i] += half[1] * (before[i] + after[i])
+        k = 2
+    while k < radius:  # four taps at a time, so that the target is read and written less often
+        here, next_to_it = begin - k * stride, begin + k * stride
+        p0, p1 = source[here:][:n], source[here - stride :][:n]
+        q0, q1 = source[next_to_it:][:n], source[next_to_it + stride :][:n]
+        for i in range(n):
+            target[i] += half[k] * (p0[i] + q0[i]) + half[k + 1] * (p1[i] + q1[i])
+        k += 2
+
+
+@Kernel
+def recursive_rows(source, gamma, begin, end, target):
+    """Filter rows (h, w, N_SUMS) forth and back with ``out[i] = (1 - gamma) in[i] + gamma out[i -+ 1]`` (LRDM Eq. 10).
+
+    Parameters
+    ----------
+    source : ndarray of shape (h, w, N_SUMS), float32
+    gamma : float
+    begin, end : int
+        Columns that are wanted.
+    target : ndarray of shape (h, end - begin, N_SUMS), float32
+        Filled.
+    """
+    height, width = source.shape[:2]
+    gain, keep = np.float32((1.0 - gamma) ** 2), np.float32(gamma)
+    # Each step waits for the one before it: those of several rows, side by side, do so together.
+    columns = np.zeros((width, ROWS_AT_A_TIME * N_SUMS), np.float32)
+    for top in range(0, height, ROWS_AT_A_TIME):
+        rows = min(ROWS_AT_A_TIME, height - top)
+        for row in range(rows):
+            for col in range(width):
+                for channel in range(N_SUMS):
+                    columns[col, row * N_SUMS + channel] = gain * source[top + row, col, channel]
+        for col in range(1, width):
+            add_scaled(columns[col - 1], keep, columns[col])
+        for col in range(width - 2, begin - 1, -1):
+            add_scaled(columns[col + 1], keep, columns[col])
+        for row in range(rows):
+            for col in range(begin, end):
+                for channel in range(N_SUMS):
+                    target[top + row, col - begin, channel] = columns[col, row * N_SUMS + channel]
+
+
+@Kernel
+def add_scaled(values, factor, target):
+    """Add values (n,) times a factor."""
+    for i in range(target.size):
+        target[i] += factor * values[i]
 
 
 @Kernel
@@ -238,120 +323,152 @@ def halve(source, target):
 
 
 @Kernel
-def build_pyramid(sums, level, pyramid):
-    """Fill ``pyramid`` (one dimension) with levels 1 to ``level`` of sums (h, w, C), one after the other."""
-    height, width, channels = sums.shape
-    begin = 0
-    last = sums
-    for _ in range(level):
-        height, width = height // 2, width // 2
-        end = begin + height * width * channels
-        now = pyramid[begin:end].reshape((height, width, channels))
-        halve(last, now)
-        last = now
-        begin = end
+def spread_texels(source, texel, x, left, share, lines):
+    """Interpolate rows of texels to pixels, linearly along x, and add them.
+
+    Parameters
+    ----------
+    source : ndarray of shape (h, w, N_SUMS), float32
+    texel : int
+        Side of a texel, px.
+    x : float
+        Offset from a pixel to where it looks, px.
+    left : int
+        Where the pixels begin in the source, px.
+    share : float32
+        Weight.
+    lines : ndarray of shape (h, cols * N_SUMS), float32
+        Added to.
+    """
+    for col in range(lines.shape[1] // N_SUMS):
+        u = (left + col + 0.5 + x) / texel - 0.5
+        place = np.uint32(math.floor(u))
+        far = np.float32(u - place) * share
+        near = share - far
+        begin = col * N_SUMS
+        for row in range(lines.shape[0]):
+            here, beside = source[row, place], source[row, place + np.uint32(1)]
+            for channel in range(N_SUMS):
+                lines[row, begin + channel] += near * here[channel] + far * beside[channel]
 
 
 @Kernel
-def add_lookup(source, texel, share, x, y, left, top, blurred):
+def spread_lines(lines, texel, y, top, blurred):
+    """Interpolate lines of a texel's height to rows of pixels, linearly along y, and add them.
+
+    Parameters
+    ----------
+    lines : ndarray of shape (h, cols * N_SUMS), float32
+    texel, y, top
+        As for `spread_texels`.
+    blurred : ndarray of shape (rows, cols * N_SUMS), float32
+        Added to.
+    """
+    for row in range(blurred.shape[0]):
+        v = (top + row + 0.5 + y) / texel - 0.5
+        number = int(math.floor(v))
+        below = np.float32(v - number)
+        above = np.float32(1.0) - below
+        upper, lower, out = lines[number], lines[number + 1], blurred[row]
+        for i in range(out.size):
+            out[i] += above * upper[i] + below * lower[i]
+
+
+@Kernel
+def add_lookup(source, texel, share, x, y, left, top, lines, blurred):
     """Add a bilinear lookup at every pixel of a tile.
 
     Parameters
     ----------
-    source : ndarray of shape (h, w, C), float32
+    source : ndarray of shape (h, w, N_SUMS), float32
         A level of the pyramid.
     texel : int
         Its texels' side, px.
-    share : float
+    share : float32
         Weight.
     x, y : float
         Offset of the lookup from the pixel, px.
     left, top : int
         Where the tile begins in the sums, px.
-    blurred : ndarray of shape (rows, cols * C), float32
+    lines : ndarray of shape (h or more, cols * N_SUMS), float32
+        Scratch.
+    blurred : ndarray of shape (rows, cols * N_SUMS), float32
         Added to.
     """
-    channels = source.shape[2]
-    one = np.float32(1.0)
-    cols = blurred.shape[1] // channels
-    place, beyond = np.empty(cols, np.int32), np.empty(cols, np.float32)
-    for col in range(cols):
-        u = (left + col + 0.5 + x) / texel - 0.5
-        place[col] = int(math.floor(u))
-        beyond[col] = u - place[col]
-    begin, end = place[0], place[cols - 1] + 2
-    line = np.empty((end - begin) * channels, np.float32)
-    for row in range(blurred.shape[0]):
-        v = (top + row + 0.5 + y) / texel - 0.5
-        number = int(math.floor(v))
-        below = np.float32(share * (v - number))
-        above = np.float32(share - below)
-        upper = source[number, begin:end].reshape(line.size)
-        lower = source[number + 1, begin:end].reshape(line.size)
-        for i in range(line.size):
-            line[i] = above * upper[i] + below * lower[i]
-        out = blurred[row]
-        for col in range(cols):
-            far = beyond[col]
-            near = one - far
-            here = (place[col] - begin) * channels
-            for c in range(channels):
-                out[col * channels + c] += near * line[here + c] + far * line[here + channels + c]
+    rows = blurred.shape[0]
+    first = int(math.floor((top + 0.5 + y) / texel - 0.5))
+    last = int(math.floor((top + rows - 0.5 + y) / texel - 0.5)) + 1
+    used = lines[: last + 1 - first]
+    for row in range(used.shape[0]):
+        used[row] = np.float32(0.0)
+    spread_texels(source[first : last + 1], texel, x, left, share, used)
+    spread_lines(used, texel, y, top - first * texel, blurred)
 
 
 @Kernel
-def look_up(sums, pyramid, covariance, left, top, blurred):
-    """Filter a tile with anisotropic lookups into the pyramid of its sums (LRDM section 6.1).
+def add_round_lookups(source, texel, share, offset, left, top, lines, blurred):
+    """Add bilinear lookups at ``(-+offset, -+offset)`` px, two along x of two along y; parameters as for `add_lookup`.
 
-    Parameters
-    ----------
-    sums : ndarray of shape (h, w, C), float32
-    pyramid : ndarray of one dimension, float32
-        See `build_pyramid`.
-    covariance : tuple of float
-        xx, xy and yy, px^2.
-    left, top : int
-        Where the tile begins in the sums, px.
-    blurred : ndarray of shape (rows, cols * C), float32
-        Filled.
+    `share` is the weight of one of the four.
     """
-    longer, shorter, cosine, sine, probes, n_taps, level = footprint_of(covariance[0], covariance[1], covariance[2])
-    lower = int(math.floor(level))
-    channels = sums.shape[2]
-    for row in range(blurred.shape[0]):
-        blurred[row] = np.float32(0.0)
-    begin = 0
-    for number in range(int(math.ceil(level)) + 1):
-        height, width = sums.shape[0] >> number, sums.shape[1] >> number
-        source = sums
-        if number > 0:
-            end = begin + height * width * channels
-            source = pyramid[begin:end].reshape((height, width, channels))
-            begin = end
-        share = 1.0 - abs(level - number)
-        if number < lower or share <= 0.0:
-            continue
-        weight = np.float32(share / (probes * n_taps))
-        for tap in range(n_taps):
-            u, v = 0.0, 0.0
-            if n_taps == 4:  # on the diagonals of the footprint, at d from its centre
-                u = TAP_OFFSET * longer * (math.sqrt(0.5) if tap & 1 else -math.sqrt(0.5))
-                v = TAP_OFFSET * shorter * (math.sqrt(0.5) if tap & 2 else -math.sqrt(0.5))
-            for probe in range(probes):
-                along = u + ((probe + 0.5) / probes - 0.5) * longer
-                x, y = along * cosine - v * sine, along * sine + v * cosine
-                add_lookup(source, 1 << number, weight, x, y, left, top, blurred)
+    used = lines[: source.shape[0]]
+    for row in range(used.shape[0]):
+        used[row] = np.float32(0.0)
+    spread_texels(source, texel, -offset, left, share, used)
+    spread_texels(source, texel, offset, left, share, used)
+    spread_lines(used, texel, -offset, top, blurred)
+    spread_lines(used, texel, offset, top, blurred)
 
 
 @Kernel
-def first_pass(way, sums, covariance, ring, tile, between):
-    """Filter the box of a layer along its first axis, or build its pyramid.
+def look_up(way, sums, coarser, covariance, left, top, blurred):
+    """Filter a tile with anisotropic lookups into two levels of a pyramid (LRDM section 6.1).
 
     Parameters
     ----------
     way : int
-        `ROTATED`, `SHEARED` or `EWA`.
-    sums : ndarray of shape (h, w, C), float32
+        `EWA`, or `ROUND_EWA` for a round Gaussian.
+    sums : ndarray of shape (h, w, N_SUMS), float32
+        The finer level: sums over its texels.
+    coarser : ndarray of shape (h / 2, w / 2, N_SUMS), float32
+        Means over 2 x 2 texels of it; not read if the filter needs one level only.
+    covariance : tuple of float
+        xx, xy and yy, px^2.
+    left, top : int
+        Where the tile begins in the sums, px.
+    blurred : ndarray of shape (rows, cols * N_SUMS), float32
+        Filled.
+    """
+    longer, shorter, cosine, sine, probes, n_taps, level = footprint_of(covariance[0], covariance[1], covariance[2])
+    lower = int(math.floor(level))
+    blurred[:] = np.float32(0.0)
+    lines = np.empty((sums.shape[0], blurred.shape[1]), np.float32)
+    du, dv = taps_of(longer, shorter, n_taps)
+    for number in range(lower, int(math.ceil(level)) + 1):
+        source = sums if number == lower else coarser
+        # Of the mean over a texel, whose area the sums have still to be divided by.
+        share = np.float32((1.0 - abs(level - number)) / (probes * n_taps * 4.0**lower))
+        if way == ROUND_EWA:
+            add_round_lookups(source, 1 << number, share, du, left, top, lines, blurred)
+            continue
+        for tap in range(n_taps):
+            u, v = du if tap & 1 else -du, dv if tap & 2 else -dv
+            for probe in range(probes):
+                along = u + ((probe + 0.5) / probes - 0.5) * longer
+                x, y = along * cosine - v * sine, along * sine + v * cosine
+                add_lookup(source, 1 << number, share, x, y, left, top, lines, blurred)
+
+
+@Kernel
+def first_pass(way, sums, covariance, ring, tile, between):
+    """Filter the box of a layer along its first axis, or halve it to the next level of a pyramid.
+
+    Parameters
+    ----------
+    way : int
+        `ROTATED`, `SHEARED`, `EWA`, or one of them for round Gaussians, such as `ROUND_EWA`.
+    sums : ndarray of shape (h, w, N_SUMS), float32
+        Of texels, see `ring_of`.
     covariance : tuple of float
         xx, xy and yy, px^2.
     ring : tuple of int
@@ -361,20 +478,38 @@ def first_pass(way, sums, covariance, ring, tile, between):
     between : ndarray of one dimension, float32
         Filled as `second_pass` wants it; as large as the sums.
     """
-    channels = sums.shape[2]
+    height, width = sums.shape[:2]
+    across = tile[1] * N_SUMS
     if way == ROTATED:
         sigma_u, sigma_v, cosine, sine = rotated_axes(covariance[0], covariance[1], covariance[2])
         right, down = second_ring(sigma_v, cosine, sine)
         rows, cols = tile[0] + 2 * down, tile[1] + 2 * right
-        target = between[: rows * cols * channels].reshape((rows, cols * channels))
+        target = between[: rows * cols * N_SUMS].reshape((rows, cols * N_SUMS))
         weights = gaussian(sigma_u, REACH)
         along_direction(sums, weights, cosine, sine, ring[1] - down, ring[0] - right, target)
-    elif way == SHEARED:
-        sigma_x, _, _ = sheared_axes(covariance[0], covariance[1], covariance[2])
-        recursive_rows(sums, recursion(sigma_x), between.reshape(sums.shape))
+    elif way == ROUND_ROTATED:
+        weights = gaussian(math.sqrt(covariance[0]), REACH)
+        target = between[: height * across].reshape((height, across))
+        for row in range(height):
+            along_line(sums[row].reshape(width * N_SUMS), ring[0] * N_SUMS, N_SUMS, weights, target[row])
+    elif way == SHEARED or way == ROUND_SHEARED:
+        sigma_x, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
+        margin = shear_margin(sigma_y, beta) if way == SHEARED else 0
+        cols = tile[1] + 2 * margin
+        target = between[: height * cols * N_SUMS].reshape((height, cols, N_SUMS))
+        begin = ring[0] - margin
+        recursive_rows(sums, recursion(sigma_x), begin, begin + cols, target)
     else:
         level = footprint_of(covariance[0], covariance[1], covariance[2])[6]
-        build_pyramid(sums, int(math.ceil(level)), between)
+        if level > math.floor(level):
+            halve(sums, next_level(between, sums.shape))
+
+
+@Kernel
+def next_level(between, shape):
+    """Return the part of an array of one dimension that is the next level of a pyramid, for the shape of a level."""
+    height, width = shape[0] // 2, shape[1] // 2
+    return between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
 
 
 @Kernel
@@ -390,22 +525,28 @@ def second_pass(way, sums, covariance, ring, between, blurred):
 
     Parameters
     ----------
-    blurred : ndarray of shape (rows, cols * C), float32
+    blurred : ndarray of shape (rows, cols * N_SUMS), float32
         The tile; filled.
     """
-    channels = sums.shape[2]
-    rows, cols = blurred.shape[0], blurred.shape[1] // channels
+    rows, cols = blurred.shape[0], blurred.shape[1] // N_SUMS
     if way == ROTATED:
         _, sigma_v, cosine, sine = rotated_axes(covariance[0], covariance[1], covariance[2])
         right, down = second_ring(sigma_v, cosine, sine)
         height, width = rows + 2 * down, cols + 2 * right
-        source = between[: height * width * channels].reshape((height, width, channels))
+        source = between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
         along_direction(source, gaussian(sigma_v, REACH), -sine, cosine, down, right, blurred)
     elif way == SHEARED:
         _, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
-        along_shear(between.reshape(sums.shape), gaussian(sigma_y, REACH), beta, ring[0], blurred)
+        margin = shear_margin(sigma_y, beta)
+        height, width = sums.shape[0], cols + 2 * margin
+        source = between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
+        along_shear(source, gaussian(sigma_y, REACH), beta, margin, blurred)
+    elif way == ROUND_ROTATED or way == ROUND_SHEARED:
+        weights, stride = gaussian(math.sqrt(covariance[2]), REACH), blurred.shape[1]
+        for row in range(rows):
+            along_line(between, (ring[1] + row) * stride, stride, weights, blurred[row])
     else:
-        look_up(sums, between, covariance, ring[0], ring[1], blurred)
+        look_up(way, sums, next_level(between, sums.shape), covariance, ring[0], ring[1], blurred)
 
 
 @Kernel
@@ -424,15 +565,20 @@ def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
         Side of a tile, px.
     sums, between : ndarray of one dimension, float32
     """
-    layers, _, _, boxes, starts = jobs
     for job in range(begin, end):
-        top, left, bottom, right = boxes[job]
-        shape = (bottom - top, right - left, N_SUMS)
-        here = sums[starts[job] : starts[job + 1]].reshape(shape)
-        f = filters[layers[job]]
-        covariance = (np.float64(f[column]), np.float64(f[column + 1]), np.float64(f[column + 2]))
-        ring = ((shape[1] - tile) // 2, (shape[0] - tile) // 2)
-        first_pass(way, here, covariance, ring, (tile, tile), between[starts[job] : starts[job + 1]])
+        here, covariance, ring, part = job_of(filters, column, jobs, tile, job, sums, between)
+        first_pass(way, here, covariance, ring, (tile, tile), part)
+
+
+@Kernel
+def job_of(filters, column, jobs, tile, job, sums, between):
+    """Return the sums of a job (h, w, N_SUMS), its covariance, ring and part between the passes."""
+    layers, _, _, boxes, texels, starts = jobs
+    top, left, bottom, right = boxes[job]
+    shape = ((bottom - top) // texels[job], (right - left) // texels[job], N_SUMS)
+    here = sums[starts[job] : starts[job + 1]].reshape(shape)
+    ring = ((right - left - tile) // 2, (bottom - top - tile) // 2)
+    return here, covariance_in(filters[layers[job]], column), ring, between[starts[job] : starts[job + 1]]
 
 
 @Kernel
@@ -450,18 +596,12 @@ def composite_tiles(way, filters, column, jobs, tile, inner, first_job, begin, e
     image : ndarray of shape (H, W, 4), float32
         Zero in the tiles; filled there.
     """
-    layers, _, _, boxes, starts = jobs
     blurred = np.empty((tile, tile * N_SUMS), np.float32)
     for number in range(begin, end):
         tile_top, tile_left, tile_bottom, tile_right = inner[number]
         left_over = np.ones((tile_bottom - tile_top, tile_right - tile_left), np.float32)
         for job in range(first_job[number], first_job[number + 1]):
-            top, left, bottom, right = boxes[job]
-            shape = (bottom - top, right - left, N_SUMS)
-            here = sums[starts[job] : starts[job + 1]].reshape(shape)
-            f = filters[layers[job]]
-            covariance = (np.float64(f[column]), np.float64(f[column + 1]), np.float64(f[column + 2]))
-            ring = ((shape[1] - tile) // 2, (shape[0] - tile) // 2)
-            second_pass(way, here, covariance, ring, between[starts[job] : starts[job + 1]], blurred)
+            here, covariance, ring, part = job_of(filters, column, jobs, tile, job, sums, between)
+            second_pass(way, here, covariance, ring, part, blurred)
             composite(blurred, tile_top, tile_left, image, left_over)
         share_out(tile_top, tile_left, image, left_over)

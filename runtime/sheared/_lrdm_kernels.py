@@ -29,8 +29,6 @@ LEAST_RATE = 0.02
 TINY = 1e-12
 MISSES, PASSES, SEES = range(3)
 """What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
-MARGIN = 256
-"""px: more than samples land beyond a box's upper left corner; small, as a larger one would cost digits."""
 
 Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
@@ -58,29 +56,20 @@ def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
 
 
 @Kernel
-def add_moments(moments, p, weight, coc, motion):
+def add_moments(moments, p, weight, coc, motion, moving):
     """Add a sample, or one that stands for several, to the moments (P, N_MOMENTS) of a partition."""
-    c, x, y = np.float64(coc), np.float64(motion[0]), np.float64(motion[1])
+    c = np.float64(coc)
     moments[p, COUNT] += weight
     moments[p, COC] += weight * c
     moments[p, COC_2] += weight * c * c
+    if not moving:
+        return
+    x, y = np.float64(motion[0]), np.float64(motion[1])
     moments[p, MX] += weight * x
     moments[p, MY] += weight * y
     moments[p, MXX] += weight * x * x
     moments[p, MXY] += weight * x * y
     moments[p, MYY] += weight * y * y
-
-
-@Kernel
-def sum_spread(lens, time, begin, end, sums):
-    """Fill ``sums`` (4,) with sums of squares of samples begin to end - 1, and the largest; see `LENS_VARIANCE`."""
-    sums[:] = 0.0
-    for i in range(begin, end):
-        u, v, t = np.float64(lens[i, 0]), np.float64(lens[i, 1]), np.float64(time[i])
-        sums[LENS_VARIANCE] += 0.5 * (u * u + v * v)
-        sums[TIME_VARIANCE] += t * t
-        sums[LENS_REACH] = max(sums[LENS_REACH], abs(u), abs(v))
-        sums[TIME_REACH] = max(sums[TIME_REACH], abs(t))
 
 
 @Kernel
@@ -100,10 +89,10 @@ def below(random, limit):
 
 @Kernel
 def bits_of(partition, begin, end):
-    """Return a word with a bit for each partition that some samples are in; those 32 apart share theirs."""
-    found, one, last = np.uint32(0), np.uint32(1), np.uint32(31)
+    """Return a word with a bit for each partition that some samples are in; those 64 apart share theirs."""
+    found, one, last = np.uint64(0), np.uint64(1), np.uint64(63)
     for i in range(begin, end):
-        found |= one << (np.uint32(partition[i]) & last)
+        found |= one << (np.uint64(partition[i]) & last)
     return found
 
 
@@ -126,16 +115,15 @@ def full_moments(samples, box, moving, only, moments):
     """
     partition, motion, coc, first, width = samples
     top, left, bottom, right = box
-    still = np.zeros(2, np.float32)
     numbers = np.flatnonzero(only)
     wanted = bits_of(numbers, 0, numbers.size)
     for row in range(top, bottom):
         begin, end = first[row * width + left], first[row * width + right]
-        if numbers.size < only.size and bits_of(partition, begin, end) & wanted == np.uint32(0):
+        if numbers.size < only.size and bits_of(partition, begin, end) & wanted == np.uint64(0):
             continue
         for i in range(begin, end):
             if only[partition[i]]:
-                add_moments(moments, partition[i], 1.0, coc[i], motion[i] if moving else still)
+                add_moments(moments, partition[i], 1.0, coc[i], motion[i], moving)
 
 
 @Kernel
@@ -155,8 +143,9 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
     """
     partition, motion, coc, first, width = samples
     top, left, bottom, right = box
-    still = np.zeros(2, np.float32)
     state = np.uint32(seed)
+    taken = np.empty((order.shape[0] // sparsity + 1, 2), np.int64)  # samples, and how many there are in the pixel
+    n = 0
     for bucket in range(0, order.shape[0], sparsity):
         state = next_random(state)
         k = bucket + below(state, min(sparsity, order.shape[0] - bucket))
@@ -167,8 +156,12 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
         here = first[row * width + col + 1] - begin
         if here > 0:
             state = next_random(state)
-            i = begin + below(state, here)
-            add_moments(moments, partition[i], np.float64(here * sparsity), coc[i], motion[i] if moving else still)
+            taken[n, 0], taken[n, 1] = begin + below(state, here), here
+            n += 1
+    # What is scattered over memory is fetched side by side, as no fetch waits for a random number any more.
+    for number in range(n):
+        i, weight = taken[number, 0], np.float64(taken[number, 1] * sparsity)
+        add_moments(moments, partition[i], weight, coc[i], motion[i], moving)
 
 
 @Kernel
@@ -345,7 +338,7 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
     settings : tuple
         Variance of the pixel filter, largest variance, whether there is motion, and by how much filters may shrink.
     tables : tuple
-        ``own`` and ``holes`` (T, P) int16, ``filters`` (T, P, N_FILTER) float64, ``counts`` (T, 2) int32: of used
+        ``own`` and ``holes`` (T, P) int16, ``filters`` (T, P, N_FILTER) float32, ``counts`` (T, 2) int32: of used
         partitions and of layers. Filled.
     """
     pixel, largest, moving, shrink = settings
@@ -365,43 +358,91 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
 
 
 @Kernel
-def land(place, lens, time, slopes, box, moving, landing):
-    """Find the pixel of a box that each sample of a row is reprojected to (LRDM Eq. 1).
+def land(place, lens, time, slopes, grid, moving, landing):
+    """Find the texel of a grid that each sample of a row is reprojected to (LRDM Eq. 1).
 
     Parameters
     ----------
     place, lens : ndarray of shape (n, 2), float32
     time : ndarray of shape (n,), float32
     slopes : ndarray of shape (N_FILTER,), float32
-    box : tuple of int
-        Top, left, bottom, right in the image, px.
+    grid : tuple of int
+        Top, left, bottom, right in the image, px, and side of a texel, px, a power of two that divides the grid's.
     moving : bool
         Whether there is motion at all.
     landing : ndarray of shape (n,) or more, int32
-        Filled with ``row * width + col`` in the box, or -1 outside.
+        Filled with ``row * width + col`` in the grid, or -1 outside.
     """
-    top, left, bottom, right = box
+    top, left, bottom, right, texel = grid
     eta, bx, by = slopes[ETA], slopes[BX], slopes[BY]
-    # Truncation rounds down if everything is positive; half a pixel, as centres are at whole numbers.
-    dx, dy = np.float32(0.5 + MARGIN - left), np.float32(0.5 + MARGIN - top)
-    width, height = np.int32(right - left), np.int32(bottom - top)
-    margin, outside = np.int32(MARGIN), np.int32(-1)
+    dx, dy = np.float32(0.5 - left), np.float32(0.5 - top)  # half a pixel, as centres are at whole numbers
+    scale, zero, outside = np.float32(1.0 / texel), np.float32(0.0), np.float32(-1.0)
+    width, height = np.float32((right - left) // texel), np.float32((bottom - top) // texel)
+    # All in floats, which hold these numbers exactly, and in one dimension: else the loops would not be vectorised.
+    xy, uv = place.reshape(place.size), lens.reshape(lens.size)
     if moving:
-        for i in range(place.shape[0]):
-            col = np.int32(place[i, 0] - eta * lens[i, 0] - bx * time[i] + dx) - margin
-            row = np.int32(place[i, 1] - eta * lens[i, 1] - by * time[i] + dy) - margin
-            within = (col >= 0) & (col < width) & (row >= 0) & (row < height)
-            landing[i] = row * width + col if within else outside
+        for i in range(time.size):
+            col = np.floor((xy[2 * i] - eta * uv[2 * i] - bx * time[i] + dx) * scale)
+            row = np.floor((xy[2 * i + 1] - eta * uv[2 * i + 1] - by * time[i] + dy) * scale)
+            within = (col >= zero) & (col < width) & (row >= zero) & (row < height)
+            landing[i] = np.int32(row * width + col if within else outside)
     else:
-        for i in range(place.shape[0]):
-            col = np.int32(place[i, 0] - eta * lens[i, 0] + dx) - margin
-            row = np.int32(place[i, 1] - eta * lens[i, 1] + dy) - margin
-            within = (col >= 0) & (col < width) & (row >= 0) & (row < height)
-            landing[i] = row * width + col if within else outside
+        for i in range(time.size):
+            col = np.floor((xy[2 * i] - eta * uv[2 * i] + dx) * scale)
+            row = np.floor((xy[2 * i + 1] - eta * uv[2 * i + 1] + dy) * scale)
+            within = (col >= zero) & (col < width) & (row >= zero) & (row < height)
+            landing[i] = np.int32(row * width + col if within else outside)
 
 
 @Kernel
-def reproject(samples, partition, own, holes, layer, slopes, box, reach, moving, sums):
+def choose(landing, partition, counts, chosen):
+    """List the samples (n,) that landed in the grid and count for the layer; return how many they are.
+
+    Without branches: chance decides, which no processor predicts.
+    """
+    n = 0
+    for i in range(partition.size):
+        chosen[n] = i
+        n += np.int64((landing[i] >= 0) & (counts[partition[i]] != MISSES))
+    return n
+
+
+@Kernel
+def add_alike(colour, landing, partition, counts, chosen, sums):
+    """Add chosen samples of weight 1 to sums (texels, N_SUMS); those that passed the layer with a colour of 0."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for number in chosen:
+        i = np.uint32(number)
+        target = sums[np.uint32(landing[i])]
+        seen = one if counts[partition[i]] == SEES else zero
+        red, green = target[0] + seen * colour[i, 0], target[1] + seen * colour[i, 1]
+        blue, alpha = target[2] + seen * colour[i, 2], target[3] + seen * colour[i, 3]
+        of_seen, of_met = target[SEEN] + seen, target[MET] + one
+        # All reads before all writes, so that they become reads and writes of several at once.
+        target[0], target[1], target[2], target[3], target[SEEN], target[MET] = (
+            red, green, blue, alpha, of_seen, of_met,
+        )  # fmt: skip
+
+
+@Kernel
+def add_weighted(samples, landing, partition, counts, chosen, slopes, sums):
+    """Add chosen samples with their weights over lens and time; samples are colour (n, 4), lens (n, 2), time (n,)."""
+    colour, lens, time = samples
+    lens_rate, time_rate = slopes[LENS_RATE], slopes[TIME_RATE]
+    for number in chosen:
+        i = np.uint32(number)
+        target = sums[np.uint32(landing[i])]
+        squared = lens[i, 0] * lens[i, 0] + lens[i, 1] * lens[i, 1]
+        weight = np.float32(math.exp(-(lens_rate * squared + time_rate * time[i] * time[i])))
+        target[MET] += weight
+        if counts[partition[i]] == SEES:
+            target[SEEN] += weight
+            for channel in range(4):
+                target[channel] += weight * colour[i, channel]
+
+
+@Kernel
+def reproject(samples, partition, own, holes, layer, slopes, grid, reach, moving, sums):
     """Add the samples around a tile to the sums of one of its layers, at (u, v, t) = (0, 0, 1/2) (LRDM Eq. 1).
 
     Parameters
@@ -414,46 +455,37 @@ def reproject(samples, partition, own, holes, layer, slopes, box, reach, moving,
     layer : int
     slopes : ndarray of shape (N_FILTER,), float32
         The layer's filter.
-    box : tuple of int
-        Top, left, bottom, right of the sums in the image, px; they may leave it.
+    grid : tuple of int
+        Top, left, bottom, right of the sums in the image, px; they may leave it. And side of a texel, px, see `land`.
     reach : tuple of float
         Largest lens coordinate and largest time of a sample.
     moving : bool
         Whether there is motion at all.
     sums : ndarray of shape (h * w, N_SUMS), float32
-        Zero; filled.
+        Of the grid's texels. Zero; filled.
     """
     colour, place, lens, time, first, shape = samples
-    top, left, bottom, right = box
-    lens_rate, time_rate = slopes[LENS_RATE], slopes[TIME_RATE]
-    weighted = lens_rate > np.float32(0.0) or time_rate > np.float32(0.0)
+    top, left, bottom, right, _ = grid
+    weighted = slopes[LENS_RATE] > np.float32(0.0) or slopes[TIME_RATE] > np.float32(0.0)
     dx = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BX]) * reach[1] + 1.0))
     dy = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BY]) * reach[1] + 1.0))
     counts = np.empty(own.size, np.int8)  # what a sample of each partition is to the layer
     for p in range(own.size):
         counts[p] = SEES if own[p] == layer else PASSES if layer < holes[p] else MISSES
     left_end, right_end = max(left - dx, 0), min(right + dx, shape[1])
-    landing = np.empty(0, np.int32)
-    weight = np.float32(1.0)
+    landing, chosen = np.empty(0, np.int32), np.empty(0, np.int32)
     for row in range(max(top - dy, 0), min(bottom + dy, shape[0])):
         begin, end = first[row * shape[1] + left_end], first[row * shape[1] + right_end]
         if end - begin > landing.size:
-            landing = np.empty(2 * (end - begin), np.int32)
-        land(place[begin:end], lens[begin:end], time[begin:end], slopes, box, moving, landing)
-        for i in range(begin, end):
-            pixel = landing[i - begin]
-            kind = counts[partition[i]]
-            if pixel < 0 or kind == MISSES:
-                continue
-            if weighted:
-                squared = lens[i, 0] * lens[i, 0] + lens[i, 1] * lens[i, 1]
-                weight = np.float32(math.exp(-(lens_rate * squared + time_rate * time[i] * time[i])))
-            target = sums[np.uint32(pixel)]
-            target[MET] += weight
-            if kind == SEES:
-                target[SEEN] += weight
-                for channel in range(4):
-                    target[channel] += weight * colour[i, channel]
+            landing, chosen = np.empty(2 * (end - begin), np.int32), np.empty(2 * (end - begin), np.int32)
+        those, of = colour[begin:end], partition[begin:end]
+        land(place[begin:end], lens[begin:end], time[begin:end], slopes, grid, moving, landing)
+        n = choose(landing, of, counts, chosen)
+        if weighted:
+            given = (those, lens[begin:end], time[begin:end])
+            add_weighted(given, landing, of, counts, chosen[:n], slopes, sums)
+        else:
+            add_alike(those, landing, of, counts, chosen[:n], sums)
 
 
 @Kernel
@@ -468,20 +500,20 @@ def reproject_layers(samples, partition, tables, jobs, spread, moving, begin, en
         ``own`` and ``holes`` (T, P) int16, and ``filters`` (L, N_FILTER) float32.
     jobs : tuple
         Of each job the layer's number among all, its tile, its number in the tile, all (J,) int64; the boxes of the
-        sums (J, 4) int32; and where the sums begin (J + 1,) int64.
+        sums (J, 4) int32, px; the side of their texels (J,) int32, px; and where the sums begin (J + 1,) int64.
     spread : ndarray of shape (4,), float64
     sums : ndarray of one dimension, float32
         The sums of all jobs, one after the other.
     """
     own, holes, filters = tables
-    layers, tiles, numbers, boxes, starts = jobs
+    layers, tiles, numbers, boxes, texels, starts = jobs
     reach = (spread[LENS_REACH], spread[TIME_REACH])
     for job in range(begin, end):
         tile = tiles[job]
         top, left, bottom, right = boxes[job]
         flat = sums[starts[job] : starts[job + 1]]
         flat[:] = np.float32(0.0)
-        target = flat.reshape(((bottom - top) * (right - left), N_SUMS))
-        box = (top, left, bottom, right)
+        target = flat.reshape((flat.size // N_SUMS, N_SUMS))
+        grid = (top, left, bottom, right, texels[job])
         slopes = filters[layers[job]]
-        reproject(samples, partition, own[tile], holes[tile], numbers[job], slopes, box, reach, moving, target)
+        reproject(samples, partition, own[tile], holes[tile], numbers[job], slopes, grid, reach, moving, target)

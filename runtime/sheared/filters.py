@@ -146,22 +146,32 @@ def with_uniform_lens(
     This is ours. The weights that the sheared filter asks for are wider than the aperture, and samples end at its rim:
     with them, and more so with weights of the aperture's own width, the blur would be narrower than the disc's. All
     samples weigh the same instead, and the shear is what gives the blur of the layer's slope its variance,
-    ``screen^2 + (slope - shear)^2 / 4 = slope^2 / 4``. What the shear leaves of the disc keeps its shape, so the screen
-    filter is no wider than it takes to hold `ENOUGH` samples, or than the axis-aligned one. The pixel filter is added,
-    as LRDM does: SLR has none where the lens blurs by more than a pixel, and leaves the grain of single samples there.
+    ``screen^2 + (slope - shear)^2 / 4 = slope^2 / 4``, with the variance of the screen filter as it is cut. What the
+    shear leaves of the disc keeps its shape, so the screen filter is no wider than it takes to hold `ENOUGH` samples,
+    or than the axis-aligned one. The pixel filter is added, as LRDM does: SLR has none where the lens blurs by more
+    than a pixel, and leaves the grain of single samples there. A layer that touches focus is not reprojected: its
+    range is known to half a pixel, and what is sharp in it would be moved by up to a quarter.
     """
     c_near, c_far = np.asarray(near, np.float64), np.asarray(far, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.where(c_near * c_far > 0.0, 2.0 / (1.0 / c_near + 1.0 / c_far), 0.0)
+    shear = np.where(slope != 0.0, filters.shear, 0.0)
     own = np.abs(slope) * SIGMA_LENS["disc"]
     transformed = (filters.shear != 0.0) & (filters.screen < own)
     enough = np.sqrt(ENOUGH / (4.0 * np.pi * samples_per_pixel))
     screen = np.minimum(filters.screen.astype(np.float64), np.maximum(AXIS_ALIGNED_SHARE * own, enough))
-    rest = np.sqrt(np.maximum(own**2 - screen**2, 0.0)) / SIGMA_LENS["disc"]
-    shear = np.where(transformed, np.sign(slope) * (np.abs(slope) - rest), filters.shear)
-    return _filters(
-        shear, np.where(transformed, np.hypot(screen, sigma_pixel), filters.screen), np.full(shear.shape, np.inf)
-    )
+    with_pixel = np.hypot(screen, sigma_pixel)
+    by_screen = cut_variance(with_pixel) - sigma_pixel**2
+    rest = np.sqrt(np.maximum(own**2 - by_screen, 0.0)) / SIGMA_LENS["disc"]
+    shear = np.where(transformed, np.sign(slope) * (np.abs(slope) - rest), shear)
+    return _filters(shear, np.where(transformed, with_pixel, filters.screen), np.full(shear.shape, np.inf))
+
+
+def cut_variance(sigma: Array) -> Array:
+    """Return the variance of Gaussians (L,) as they are drawn: at whole pixels, up to three sigma or `REACH`, px^2."""
+    offset = np.arange(-REACH, REACH + 1.0)[:, None]
+    weight = np.exp(-0.5 * (offset / sigma) ** 2) * (np.abs(offset) <= np.ceil(3.0 * sigma))
+    return np.asarray((weight * offset**2).sum(axis=0) / weight.sum(axis=0))
 
 
 def _filters(shear: Array, screen: npt.NDArray[np.floating], lens: Array) -> Filters:

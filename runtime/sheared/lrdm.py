@@ -22,7 +22,12 @@ from runtime.sheared.tiles import DEFAULT_TILE, Tiling
 from runtime.sheared.work import WorkSizes
 from spreadlets.errors import InvalidParameterError
 
-SCREEN_FILTERS = {"rotated": _gauss_kernels.ROTATED, "sheared": _gauss_kernels.SHEARED, "ewa": _gauss_kernels.EWA}
+SCREEN_FILTERS = {
+    "rotated": (_gauss_kernels.ROTATED, _gauss_kernels.ROUND_ROTATED),
+    "sheared": (_gauss_kernels.SHEARED, _gauss_kernels.ROUND_SHEARED),
+    "ewa": (_gauss_kernels.EWA, _gauss_kernels.ROUND_EWA),
+}
+"""Numbers of the screen filters with motion, and of those for defocus alone."""
 
 DEFAULT_SIGMA_PIXEL = 0.5
 """px; LRDM's figure 9 trades streaks for sharpness with it: .33 there."""
@@ -42,6 +47,8 @@ TILE_UNIT = 32
 """px: tiles are multiples of the largest texel of a pyramid."""
 SAMPLES_AT_A_TIME = 1 << 16
 """For what is done sample by sample."""
+SUMMED_AT_A_TIME = 1 << 13
+"""Of numbers that are summed in single precision; more would cost digits."""
 SEED = 0x9E3779B9
 """Of the sparse statistics."""
 
@@ -51,6 +58,7 @@ Jobs = tuple[
     npt.NDArray[np.int64],
     npt.NDArray[np.int64],
     npt.NDArray[np.int64],
+    npt.NDArray[np.int32],
     npt.NDArray[np.int32],
     npt.NDArray[np.int64],
 ]
@@ -130,8 +138,8 @@ class Lrdm:
 
     def prepare(self, samples: Samples, tiling: Tiling) -> LrdmFilter:
         """Find the layers of each tile and set their filters up."""
-        moving = not self.skip_motion or bool(samples.motion.any())
-        spread = spread_of(samples)
+        moving = not self.skip_motion or _largest(samples.motion) > 0.0
+        spread = spread_of(samples, moving)
         partition = self.partitions(samples)
         begin = time.perf_counter()
         tables = self.set_up(samples, partition, tiling, spread, moving)
@@ -162,7 +170,7 @@ class Lrdm:
         boxes, n_partitions = tiling.inner(), self.layers + 1
         shape = len(boxes), n_partitions
         own, holes = np.empty(shape, np.int16), np.empty(shape, np.int16)
-        filters, counts = np.zeros((*shape, _lrdm_kernels.N_FILTER)), np.empty((len(boxes), 2), np.int32)
+        filters, counts = np.empty((*shape, _lrdm_kernels.N_FILTER), np.float32), np.empty((len(boxes), 2), np.int32)
         sampling = self.sparsity, SEED
         given = (partition, samples.motion, samples.coc, samples.first, samples.shape[1])
         settings = (self.sigma_pixel**2, self.largest_sigma**2, moving, self.shrink)
@@ -174,7 +182,7 @@ class Lrdm:
         in_parts(work, len(boxes), size or WorkSizes.current().set_up)
         used = np.arange(n_partitions) < counts[:, 1:]
         first = np.concatenate([[0], np.cumsum(counts[:, 1])]).astype(np.int64)
-        return Tables(own, holes, filters[used].astype(np.float32), first, int(counts[:, 0].sum()))
+        return Tables(own, holes, filters[used], first, int(counts[:, 0].sum()))
 
 
 @dataclass(frozen=True)
@@ -251,7 +259,7 @@ class LrdmFilter:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks; they share their buffers."""
-        rings = np.empty((len(self.tables.filters), 2), np.int32)
+        rings = np.empty((len(self.tables.filters), 3), np.int32)
         _gauss_kernels.ring_of_layers(self._way, self.tables.filters, _lrdm_kernels.SXX, rings)
         found = [self._jobs(tiles, rings) for tiles in self._tiles_of_blocks()]
         size = max(int(jobs[-1][-1]) for _, _, jobs in found)
@@ -288,7 +296,7 @@ class LrdmFilter:
     @property
     def _way(self) -> int:
         """Number of the screen filter."""
-        return SCREEN_FILTERS[self.method.screen_filter]
+        return SCREEN_FILTERS[self.method.screen_filter][not self.moving]
 
     def figures(self) -> dict[str, float]:
         """Return the mean numbers of partitions and layers of a tile, and the time of the set-up."""
@@ -317,30 +325,46 @@ class LrdmFilter:
         number = np.arange(first_job[-1]) - first_job[of_tile]
         layer = first[tiles[of_tile]] + number
         corner = inner[tiles[of_tile], :2]
-        ring = rings[layer][:, ::-1]
+        ring, texel = rings[layer, 1::-1], rings[layer, 2]
         boxes = np.concatenate([corner - ring, corner + side + ring], axis=1).astype(np.int32)
-        sizes = np.prod((side + 2 * ring).astype(np.int64), axis=1) * N_SUMS
+        sizes = np.prod(((side + 2 * ring) // texel[:, None]).astype(np.int64), axis=1) * N_SUMS
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, starts)
+        return inner[tiles], first_job, (layer, tiles[of_tile], number, boxes, texel, starts)
 
 
-def spread_of(samples: Samples) -> npt.NDArray[np.float64]:
+def spread_of(samples: Samples, moving: bool = True) -> npt.NDArray[np.float64]:
     """Return how far samples spread over lens and shutter.
+
+    Parameters
+    ----------
+    samples : Samples
+    moving : bool
+        Whether anything moves; else the shutter does not count.
 
     Returns
     -------
     ndarray of shape (4,)
         Variance along one axis of the lens, variance of time (frames^2), and the largest of either.
     """
-    n = len(samples.time)
-    sums = np.zeros((max(-(-n // SAMPLES_AT_A_TIME), 1), 4))
+    spread = np.zeros(4)
+    spread[_lrdm_kernels.LENS_VARIANCE] = _mean_square(samples.lens)
+    spread[_lrdm_kernels.LENS_REACH] = _largest(samples.lens)
+    if moving:
+        spread[_lrdm_kernels.TIME_VARIANCE] = _mean_square(samples.time)
+        spread[_lrdm_kernels.TIME_REACH] = _largest(samples.time)
+    return spread
 
-    def work(begin: int, end: int) -> None:
-        _lrdm_kernels.sum_spread(samples.lens, samples.time, begin, end, sums[begin // SAMPLES_AT_A_TIME])
 
-    in_parts(work, n, SAMPLES_AT_A_TIME)
-    variances = sums[:, : _lrdm_kernels.LENS_REACH].sum(axis=0) / max(n, 1)
-    return np.concatenate([variances, sums[:, _lrdm_kernels.LENS_REACH :].max(axis=0)])
+def _mean_square(values: FloatArray) -> float:
+    """Return the mean square of values, 0 of none."""
+    flat = values.reshape(values.size)
+    parts = [flat[begin : begin + SUMMED_AT_A_TIME] for begin in range(0, flat.size, SUMMED_AT_A_TIME)]
+    return sum(float(np.einsum("i,i->", part, part)) for part in parts) / max(flat.size, 1)
+
+
+def _largest(values: FloatArray) -> float:
+    """Return the largest absolute value, 0 of none."""
+    return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
 
 
 @lru_cache
@@ -353,12 +377,13 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
 
 
 def in_parts(work: Work, n: int, size: int) -> None:
-    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing."""
+    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing.
+
+    One thread does all at once.
+    """
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
     if min(numba.get_num_threads(), len(parts)) <= 1:
-        for part in parts:
-            work(*part)
-        return
+        return work(0, n)
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done in [pool.submit(work, *part) for part in parts]:
             done.result()

@@ -293,11 +293,27 @@ def test_reprojection_agrees_with_its_naive_twin(rng):
     box = (-4, 3, 41, 30)
     given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
     found = np.zeros(((box[2] - box[0]) * (box[3] - box[1]), 6), np.float32)
-    kernels.reproject(given, partition, own, holes, 1, slopes, box, (1.0, 0.25), True, found)
+    kernels.reproject(given, partition, own, holes, 1, slopes, (*box, 1), (1.0, 0.25), True, found)
     expected = reprojected_sums(samples, layer_of, 1, slopes[0], slopes[1:3], slopes[3:5], box)
     found = found.reshape(expected.shape)
     assert np.isclose(found, expected, atol=1e-5).all(axis=2).mean() > 0.999  # float32 rounds some across a border
     np.testing.assert_allclose(found.sum(axis=(0, 1)), expected.sum(axis=(0, 1)), rtol=2e-3)
+
+
+@pytest.mark.parametrize(("rates", "moving"), [((0.0, 0.0), True), ((0.0, 0.0), False), ((0.8, 6.0), True)])
+def test_sums_of_texels_are_those_of_their_pixels(rng, rates, moving):
+    samples = tile_samples(rng)
+    partition = rng.integers(0, 3, len(samples.coc)).astype(np.uint8)
+    own, holes = np.array([0, 1, -1], np.int16), np.array([0, 1, 2], np.int16)
+    slopes = np.array([5.0, 9.0 * moving, -4.0 * moving, *rates, 0, 0, 0], np.float32)
+    given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
+    of_pixels, of_texels = np.zeros((48 * 32, 6), np.float32), np.zeros((12 * 8, 6), np.float32)
+    for texel, sums in ((1, of_pixels), (4, of_texels)):
+        box = (-8, 0, 40, 32, texel)
+        kernels.reproject(given, partition, own, holes, 1, slopes, box, (1.0, 0.25), moving, sums)
+    expected = of_pixels.reshape(12, 4, 8, 4, 6).sum(axis=(1, 3))
+    assert (expected[1:-1, :, 5] > 0).all()
+    np.testing.assert_allclose(of_texels.reshape(expected.shape), expected, rtol=1e-4)
 
 
 # Screen filters
@@ -311,9 +327,10 @@ COVARIANCES = [
 def response(way, covariance):
     """What a screen filter makes of a single pixel, turned by half a turn to be the filter, with its ring."""
     tile = 96
-    ring = gauss.ring_of(way, *covariance)
-    sums = np.zeros((tile + 2 * ring[1], tile + 2 * ring[0], 6), np.float32)
-    sums[ring[1] + tile // 2, ring[0] + tile // 2] = np.arange(1, 7)
+    *ring, texel = gauss.ring_of(way, *covariance)
+    ring = tuple(ring)
+    sums = np.zeros(((tile + 2 * ring[1]) // texel, (tile + 2 * ring[0]) // texel, 6), np.float32)
+    sums[(ring[1] + tile // 2) // texel, (ring[0] + tile // 2) // texel] = np.arange(1, 7)
     between, blurred = np.empty(sums.size, np.float32), np.empty((tile, tile * 6), np.float32)
     gauss.first_pass(way, sums, covariance, ring, (tile, tile), between)
     gauss.second_pass(way, sums, covariance, ring, between, blurred)
@@ -376,7 +393,7 @@ def test_the_recursive_filter_is_an_exponential_to_both_sides():
     out = np.empty_like(rows)
     gamma = gauss.recursion(5.0)
     assert gamma == pytest.approx(np.exp(-np.sqrt(2) / 5))
-    gauss.recursive_rows(rows, gamma, out)
+    gauss.recursive_rows(rows, gamma, 0, 201, out)
     expected = (1 - gamma) / (1 + gamma) * gamma ** np.abs(np.arange(201) - 100)
     np.testing.assert_allclose(out[0, :, 0], expected, rtol=1e-4, atol=1e-9)
 
@@ -398,19 +415,64 @@ def test_passes_along_a_direction_interpolate(rng):
 
 
 def test_a_level_of_the_pyramid_is_looked_up_bilinearly_between_means_of_blocks(rng):
-    sums = rng.random((64, 96, 6)).astype(np.float32)
-    pyramid = np.empty(sums.size, np.float32)
-    gauss.build_pyramid(sums, 2, pyramid)
-    means = sums.reshape(16, 4, 24, 4, 6).mean(axis=(1, 3))
-    size = 32 * 48 * 6
-    level = pyramid[size : size + means.size].reshape(means.shape)
+    sums = rng.random((32, 48, 6)).astype(np.float32)
+    level = gauss.next_level(np.empty(sums.size, np.float32), sums.shape)
+    gauss.halve(sums, level)
+    means = sums.reshape(16, 2, 24, 2, 6).mean(axis=(1, 3))
     np.testing.assert_allclose(level, means, rtol=1e-5)
-    found = np.zeros((20, 20 * 6), np.float32)
-    gauss.add_lookup(level, 4, np.float32(0.5), 1.3, -2.2, 30, 20, found)
+    found, lines = np.zeros((20, 20 * 6), np.float32), np.empty((32, 20 * 6), np.float32)
+    gauss.add_lookup(level, 4, np.float32(0.5), 1.3, -2.2, 30, 20, lines, found)
     y, x = np.mgrid[20:40, 30:50]
     places = [(y + 0.5 - 2.2) / 4 - 0.5, (x + 0.5 + 1.3) / 4 - 0.5]
     expected = 0.5 * map_coordinates(means[..., 3].astype(np.float64), places, order=1)
     np.testing.assert_allclose(found.reshape(20, 20, 6)[..., 3], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("covariance", [(64.0, 0.0, 64.0), (9.0, 0.0, 9.0), (40.0, 30.0, 24.0), (60.0, 3.0, 0.6)])
+def test_lookups_into_sums_of_texels_are_those_into_a_pyramid_of_pixels(rng, covariance):
+    """Samples land on texels of the level that is looked up; halving an image of pixels leads to the same."""
+    *ring, texel = gauss.ring_of(gauss.EWA, *covariance)
+    longer, shorter, cosine, sine, probes, n_taps, level = gauss.footprint_of(*covariance)
+    assert texel == 2 ** int(level)
+    pixels = rng.random((32 + 2 * ring[1], 32 + 2 * ring[0]))
+    sums = np.zeros((pixels.shape[0] // texel, pixels.shape[1] // texel, 6), np.float32)
+    sums[..., 3] = pixels.reshape(sums.shape[0], texel, sums.shape[1], texel).sum(axis=(1, 3))
+    between, found = np.empty(sums.size, np.float32), np.empty((32, 32 * 6), np.float32)
+    gauss.first_pass(gauss.EWA, sums, covariance, tuple(ring), (32, 32), between)
+    gauss.second_pass(gauss.EWA, sums, covariance, tuple(ring), between, found)
+    expected = np.zeros((32, 32))
+    y, x = np.mgrid[ring[1] : ring[1] + 32, ring[0] : ring[0] + 32] + 0.5
+    taps = 0.33 * np.sqrt(0.5) * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) if n_taps == 4 else np.zeros((1, 2))
+    for side in {2 ** int(np.floor(level)), 2 ** int(np.ceil(level))}:
+        means = pixels.reshape(pixels.shape[0] // side, side, -1, side).mean(axis=(1, 3))
+        for u, v in taps * [longer, shorter]:
+            for probe in range(probes):
+                along = u + ((probe + 0.5) / probes - 0.5) * longer
+                places = y + along * sine + v * cosine, x + along * cosine - v * sine
+                looked_up = map_coordinates(means, [each / side - 0.5 for each in places], order=1, mode="nearest")
+                expected += (1 - abs(level - np.log2(side))) * looked_up / (probes * n_taps)
+    np.testing.assert_allclose(found.reshape(32, 32, 6)[..., 3], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("way", "short"),
+    [(gauss.ROTATED, gauss.ROUND_ROTATED), (gauss.SHEARED, gauss.ROUND_SHEARED), (gauss.EWA, gauss.ROUND_EWA)],
+)
+@pytest.mark.parametrize("variance", [0.25, 1.9, 9.0, 40.0, 64.0])
+def test_the_ways_for_round_gaussians_are_the_general_ones(rng, way, short, variance):
+    covariance = variance, 0.0, variance
+    wide, ring = gauss.ring_of(way, *covariance), gauss.ring_of(short, *covariance)
+    assert ring <= wide and ring[2] == wide[2]
+    cut = wide[1] - ring[1], wide[0] - ring[0]
+    sums = rng.random(((32 + 2 * wide[1]) // wide[2], (32 + 2 * wide[0]) // wide[2], 6)).astype(np.float32)
+    inside = sums[cut[0] : sums.shape[0] - cut[0], cut[1] : sums.shape[1] - cut[1]].copy()
+    images = []
+    for number, given, size in ((way, sums, wide), (short, inside, ring)):
+        between, blurred = np.empty(sums.size, np.float32), np.empty((32, 32 * 6), np.float32)
+        gauss.first_pass(number, given, covariance, size[:2], (32, 32), between)
+        gauss.second_pass(number, given, covariance, size[:2], between, blurred)
+        images.append(blurred)
+    np.testing.assert_allclose(images[1], images[0], rtol=2e-5)
 
 
 def test_the_footprint_holds_95_percent_of_a_gaussian_and_hardware_s_number_of_lookups():
@@ -544,6 +606,7 @@ def test_samples_spread_over_lens_and_shutter_as_they_do(rng):
     found = spread_of(samples)
     np.testing.assert_allclose(found[:2], SPREAD[:2], rtol=0.02)
     assert 0.99 < found[2] <= 1 and 0.24 < found[3] <= 0.25
+    np.testing.assert_array_equal(spread_of(samples, moving=False), [found[0], 0, found[2], 0])
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,13 @@ from click.testing import CliRunner
 from reference_sheared import filtered, gaussian, irradiance, reconstruct_naive
 
 import runtime.denoise
+from runtime.sheared import _tile_kernels
 from runtime.sheared import layers as layering
 from runtime.sheared.filters import (
     LARGEST_SIGMA,
     REACH,
     SIGMA_LENS,
+    SIGMA_PIXEL,
     Filters,
     axis_aligned_filters,
     sheared_filters,
@@ -164,13 +166,23 @@ def test_with_a_uniform_lens_the_blur_has_the_variance_of_the_disc_s_and_the_pix
     slope = 2 / (1 / near + 1 / far)
     rng = np.random.default_rng(1)
     lens = on_disc(rng, 400_000)[:, 0]
-    blur = (slope - made.shear[0]) * lens + made.screen[0] * rng.standard_normal(lens.size)
+    weights = _tile_kernels.gaussian(made.screen[0], REACH)  # cut by the clamp, as it is drawn
+    offsets = np.arange(weights.size) - weights.size // 2
+    blur = (slope - made.shear[0]) * lens + rng.choice(offsets, lens.size, p=weights / weights.sum(dtype=np.float64))
     assert np.std(blur) == pytest.approx(np.hypot(np.std(slope * lens), 0.4), rel=5e-3)
     axis_aligned = axis_aligned_filters([near], [far], SIGMA_LENS["disc"], sigma_pixel=0.4)
     assert made.screen[0] > 0.9 * min(axis_aligned.screen[0], 4.0)
     few = with_uniform_lens(sheared_filters([near], [far], SIGMA_LENS["disc"]), [near], [far], 0.1, sigma_pixel=0.4)
     assert made.screen[0] <= few.screen[0]
     assert np.isinf(made.lens[0])
+
+
+@pytest.mark.parametrize(("near", "far"), [(-0.5, 0.0), (0.0, 0.5), (-0.5, 0.5), (-3.0, 2.0)])
+def test_with_a_uniform_lens_what_may_be_in_focus_stays_where_it_is(near, far):
+    made = with_uniform_lens(sheared_filters([near], [far], SIGMA_LENS["disc"]), [near], [far], 4.0)
+    assert made.shear[0] == 0 and made.screen[0] == SIGMA_PIXEL
+    beside = with_uniform_lens(sheared_filters([0.5], [1.0], SIGMA_LENS["disc"]), [0.5], [1.0], 4.0)
+    assert beside.shear[0] > 0.3
 
 
 # Partitions and layers
