@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime import layers
+from runtime.calibration import calibrate, takes_whole_lens
 from runtime.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
 from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
 from runtime.denoise import DENOISERS, denoise_sharp
@@ -127,6 +128,9 @@ class Options:
         By default any in synthesis, and `SAMPLE_CLAMP` in reconstruction.
     denoise : str or None
         Denoiser for the sharp parts of a reconstruction, see `runtime.denoise.denoise_sharp`.
+    calibrate : bool
+        Whether a reconstruction is brought to its samples' local means, where those are of the whole lens and shutter,
+        see `runtime.calibration.calibrate`.
     dense_psf : callable or None
         If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
     filtering : bool
@@ -142,6 +146,7 @@ class Options:
     softness: float = layers.DEFAULT_SOFTNESS
     firefly_clamp: float | None = None
     denoise: str | None = None
+    calibrate: bool = True
     dense_psf: DensePsf | None = None
     filtering: bool = False
 
@@ -266,10 +271,25 @@ def reconstruct(
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
     _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
+    with clock.step("composite"):
+        # A gain of the colours alone would part them from an alpha that is as inexact.
+        if closed and options.calibrate and _shows_samples(samples, camera, database, options):
+            calibrate(image, [each.radiance for each in passes], samples.valid)
+        else:
+            plan.left_out.append("calibration")
     if options.denoise is not None:
         with clock.step("composite"):
             image = denoise_sharp(image, _sharp_share(plan, samples.valid), options.denoise)
     return image, _report(tally, database, clock)
+
+
+def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, options: Options) -> bool:
+    """Tell whether the image should be the mean of many samples: same effects, round lens, all of lens and shutter."""
+    model = database.grid.model
+    moves = bool(samples.motion.any())
+    if not options.defocus or not (options.motion or not moves) or model.settings:
+        return False
+    return (model.name == "combined" or model.name == "simplelens" and not moves) and takes_whole_lens(samples, camera)
 
 
 def _sharp_share(plan: Plan, valid: npt.NDArray[np.bool_]) -> Image:
@@ -441,7 +461,10 @@ def _filtered(
             passes = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
             plan = plan_pixels(passes, database, options.settings(1, border=False))
         with clock.step("splat"):
-            filtered = gather(plan.sources[0][0], plan.table) if plan.sources else np.zeros_like(image)
+            # All that is filtered counts, also where nothing is drawn.
+            filtered = np.zeros_like(image)
+            if plan.sources:
+                filtered = gather(plan.sources[0][0]._replace(radiance=layer.radiance), plan.table)
         with clock.step("composite"):
             add_layer(image, filtered, (0, 0), COVERAGE)
         tally.add_plan(plan, 1)

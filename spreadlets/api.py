@@ -164,6 +164,7 @@ def reconstruct(
     report: Literal[False] = ...,
     settings: Mapping[str, object] | None = ...,
     denoise: str | None = ...,
+    calibrate: bool = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -178,6 +179,7 @@ def reconstruct(
     report: Literal[True],
     settings: Mapping[str, object] | None = ...,
     denoise: str | None = ...,
+    calibrate: bool = ...,
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, dict[str, Any]]: ...
 
@@ -191,6 +193,7 @@ def reconstruct(
     report: bool = False,
     settings: Mapping[str, object] | None = None,
     denoise: str | None = None,
+    calibrate: bool = True,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, dict[str, Any]]:
     """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
@@ -212,6 +215,9 @@ def reconstruct(
     denoise : {"oidn", "bm3d"}, optional
         Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
         default off. For methods that splat.
+    calibrate : bool
+        Bring the image's local means to those of the samples, if these are spread over lens and shutter and all effects
+        are shown. For methods that splat.
 
     Returns
     -------
@@ -234,13 +240,16 @@ def reconstruct(
     if method in (*LAYERED_METHODS, "mean", *DENOISERS):
         if denoise is not None:
             raise InvalidParameterError(f"denoise is no option of method {method!r}")
+        if not calibrate:
+            raise InvalidParameterError(f"calibrate is no option of method {method!r}")
         image, figures = _without_splatting(samples, camera, method, settings or {}, options)
         return (image, figures) if report else image
     from runtime import render
 
     with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
         given, clock = _render_options(opened, method, options)
-        image, figures = render.reconstruct(samples, camera, opened, replace(given, denoise=denoise), clock)
+        given = replace(given, denoise=denoise, calibrate=calibrate)
+        image, figures = render.reconstruct(samples, camera, opened, given, clock)
     return (image, figures) if report else image
 
 

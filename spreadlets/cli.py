@@ -402,6 +402,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     help="Dim samples brighter than this times any other that comes from within a pixel (default: 32; inf: off).",
 )
 @click.option("--denoise", metavar="NAME", help="Denoise what is sharp and still: oidn or bm3d, optional packages.")
+@click.option("--no-calibrate", is_flag=True, help="Do not bring the image's local means to those of the samples.")
 @click.option("--no-defocus", is_flag=True, help="Take depth of field out.")
 @click.option("--no-motion", is_flag=True, help="Take motion blur out.")
 @click.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")
@@ -417,6 +418,7 @@ def reconstruct(
     reference: str | None,
     no_defocus: bool,
     no_motion: bool,
+    no_calibrate: bool,
     as_json: bool,
     assignments: tuple[str, ...],
     **settings: Any,
@@ -438,7 +440,8 @@ def reconstruct(
         camera = read_camera(camera_path)
         buffer = read_samples(samples, camera=camera, repair=repair)
         truth = exr.read_image(reference) if reference else None
-    settings |= {"defocus": not no_defocus, "motion": not no_motion, "settings": _assigned(assignments)}
+    settings |= {"defocus": not no_defocus, "motion": not no_motion, "calibrate": not no_calibrate}
+    settings |= {"settings": _assigned(assignments)}
     image, report = make(buffer.take(spp) if spp else buffer, camera, database, **settings, report=True, clock=clock)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)

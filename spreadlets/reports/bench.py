@@ -255,10 +255,10 @@ def _first_runs(
         if math.isnan(row.ssim) and not row.note:
             try:
                 image = _image(subject, contender, row)
+                figures = {} if image is None else metrics.compare(image, subject.reference)
             except (ValueError, RuntimeError, OSError, MemoryError) as error:
                 row.note, image = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300], None
             if image is not None:
-                figures = metrics.compare(image, subject.reference)
                 row.ssim, row.flip, row.psnr, row.relmse = (figures[name] for name in METRICS)
                 save_pictures(pictures, row.key, image, subject.reference)
             notebook.save()

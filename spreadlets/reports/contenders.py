@@ -41,6 +41,7 @@ RECONSTRUCTION_KNOBS: tuple[tuple[str, dict[str, Any]], ...] = (
     *((f"layers {count}", {"layers": count}) for count in (1, 3, 12)),
     ("tolerance 0.016", {"tolerance": 0.016}),
     ("integrator pyramid", {"integrator": "pyramid"}),
+    ("not calibrated", {"calibrate": False}),
 )
 """The same for `reconstruct`."""
 

@@ -260,6 +260,21 @@ def test_gathering_takes_the_label_of_the_receiver(small_combined):
     assert gathered[:, :32, 0].max() == 0 and gathered[32, 33, 0] > 0
 
 
+def test_gathering_around_holes_and_blended_depths_takes_no_light_from_nowhere(small_combined):
+    depth = np.full((48, 48), depth_of(9.0, 48))
+    depth[:, 24:] = depth_of(3.0, 48)
+    depth[:, 24] = 2 / (1 / depth[0, 0] + 1 / depth[0, 47])
+    radiance = np.full((48, 48, 4), 0.25)
+    radiance[:, 24:] = 0.5
+    radiance[:, 24] = 0.375
+    radiance[:20] = 0.0
+    for _ in range(20):  # leaves bad numbers in memory that is used again
+        np.full((48, 48, 4), np.nan, np.float32)
+    gathered = synthesize_any(Frame(radiance, depth), CAMERA, small_combined, method="gather")
+    assert np.isfinite(gathered).all() and gathered.max() <= 0.5 * (1 + 1e-3)
+    assert gathered[36:, :12] == pytest.approx(0.25, rel=1e-3)
+
+
 @pytest.mark.parametrize("tolerance", [0.004, 0.03])
 def test_a_tolerance_keeps_its_bound_and_draws_less(small_combined, tolerance):
     rng = np.random.default_rng(3)
