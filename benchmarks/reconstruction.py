@@ -9,14 +9,16 @@ get the same samples as the mean of each pixel, at 1 sample:
 - ``bm3d``: package bm3d, on displayed values and on log(1 + radiance), at several standard deviations of the noise; the
   best by SSIM against the reference is shown, which favours it.
 
-``ours, --denoise oidn`` takes that as a last step where the image is sharp; ``ours, then oidn`` denoises all of our
-result. Peers whose package is missing are shown as published with the frames, marked with an asterisk. Times are in
+``not calibrated`` leaves out the last step, which brings local means to those of the samples; ``fireflies`` are samples
+of radiance 2000 in random places. ``ours, --denoise oidn`` denoises the image where it is sharp; ``ours, then oidn``
+all of it. Peers whose package is missing are shown as published with the frames, marked with an asterisk. Times are in
 seconds, of whole frames after compilation. Writes reconstruction.txt and a picture of each frame (1 sample: ours, the
 peers, the mean, the reference, 4 times the difference of ours from it) to benchmarks/results.
 """
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numba
@@ -24,13 +26,14 @@ import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode, ssim
+from spreadlets.metrics import display_encode, psnr, ssim
 
 COUNTS = (1, 2, 4)
 GOAL = {"coins": 0.97, "whirl": 0.97, "fence": 0.95}
 GOAL_LEAD = 0.02
 SIGMAS = (0.5, 0.8, 1.2)
 PUBLISHED_OIDN = {"coins": 0.954, "whirl": 0.969, "fence": 0.944}
+N_FIREFLIES, FIREFLY = 20, 2000.0
 NODES = {"coins": 0.927, "whirl": 0.965, "fence": 0.807}
 """Similarity of Blender's Defocus and Vector Blur nodes on the pinhole frame, from the frames' own notes."""
 
@@ -87,11 +90,31 @@ def ours(scene: Scene, database: sp.Database, report: Report) -> Image:
         seconds.append(figures["time_s"]["total"])
         means.append(ssim(sp.reconstruct(samples, scene.camera, method="mean"), scene.reference))
     report.row(f"{scene.name}, spreadlets", *found, f">= {GOAL[scene.name]}", *(f"{each:.2f}" for each in seconds))
+    bare = [sp.reconstruct(scene.samples.take(n), scene.camera, database, calibrate=False) for n in COUNTS]
+    report.row(f"{scene.name}, not calibrated", *(ssim(image, scene.reference) for image in bare))
+    for name, made in (("spreadlets", images), ("not calibrated", bare), ("mean", None)):
+        made = made or [sp.reconstruct(scene.samples.take(n), scene.camera, method="mean") for n in COUNTS]
+        report.row(f"{scene.name}, {name}, PSNR", *(f"{psnr(image, scene.reference):.2f}" for image in made))
     one = scene.samples.take(1)
     dense, figures = sp.reconstruct(one, scene.camera, database, method="dense", report=True)
     report.row(f"{scene.name}, dense", ssim(dense, scene.reference), "-", "-", "-", f"{figures['time_s']['total']:.2f}")
     report.row(f"{scene.name}, mean of the samples", *means)
     return images[0]
+
+
+def fireflies(scene: Scene, database: sp.Database, report: Report) -> None:
+    """Add the row of what single samples that are far too bright do to 1 sample, clamped and not."""
+    one = scene.samples.take(1)
+    rng = np.random.default_rng(0)
+    radiance = one.radiance.copy()
+    rows, cols = rng.integers(0, one.shape[0], N_FIREFLIES), rng.integers(0, one.shape[1], N_FIREFLIES)
+    radiance[rows, cols, 0, :3] = FIREFLY
+    spoilt = replace(one, radiance=radiance)
+    figures = []
+    for samples, clamp in ((one, np.inf), (one, None), (spoilt, np.inf), (spoilt, None)):
+        image = sp.reconstruct(samples, scene.camera, database, firefly_clamp=clamp)
+        figures.append(ssim(image, scene.reference))
+    report.row(f"{scene.name}, 1 sample", *figures)
 
 
 def peers(scene: Scene, image: Image, database: sp.Database, report: Report) -> list[Image]:
@@ -137,6 +160,10 @@ def main() -> None:
             others = peers(scene, image, database, report)
             save_pictures(RESULTS / f"reconstruction_{scene.name}.png", [image, *others], scene.reference, shrink=3)
             report.add()
+        report.row("SSIM, fireflies", "none, any", "none, clamped", f"{N_FIREFLIES}, any", f"{N_FIREFLIES}, clamped")
+        for scene in found:
+            fireflies(scene, database, report)
+        report.add()
     report.add("* from the notes of the frames, not measured here")
     report.save("reconstruction.txt")
 
