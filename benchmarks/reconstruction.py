@@ -18,7 +18,6 @@ peers, the mean, the reference, 4 times the difference of ours from it) to bench
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from importlib.util import find_spec
 
 import numba
@@ -109,7 +108,9 @@ def fireflies(scene: Scene, database: sp.Database, report: Report) -> None:
     radiance = one.radiance.copy()
     rows, cols = rng.integers(0, one.shape[0], N_FIREFLIES), rng.integers(0, one.shape[1], N_FIREFLIES)
     radiance[rows, cols, 0, :3] = FIREFLY
-    spoilt = replace(one, radiance=radiance)
+    spoilt = sp.SampleBuffer(
+        radiance, one.depth, one.motion, lens_uv=one.lens_uv, time=one.time, offset=one.offset, valid=one.valid
+    )
     figures = []
     for samples, clamp in ((one, np.inf), (one, None), (spoilt, np.inf), (spoilt, None)):
         image = sp.reconstruct(samples, scene.camera, database, firefly_clamp=clamp)

@@ -19,14 +19,17 @@ AXES: dict[str, tuple[str, Callable[[float], float]]] = {
 """For each metric the label of its axis, and what is drawn: less is better everywhere."""
 PANEL_INCHES = 4.6, 3.6
 DPI = 90
-PALETTE_COLOURS = 48
 LABEL_POINTS = 7
+LABEL_DISTANCE = 0.09
+"""Names of points are left out where they would lie on another: distance in sides of the panel."""
 OURS = "#c2410c"
 COLOURS = {
     **{"dense": "#1d4ed8", "dense-rows": "#60a5fa", "gather": "#a16207", "blender nodes": "#be185d"},
     **{"sheared": "#047857", "axis-aligned": "#65a30d", "mean": "#6b7280", "bm3d": "#7c3aed", "oidn": "#0e7490"},
 }
-OTHERS = ("#991b1b", "#854d0e", "#166534", "#155e75", "#3730a3", "#86198f")
+COLOURS |= {"lrdm": "#3730a3", "lrdm-sheared": "#86198f", "lrdm-ewa": "#db2777"}
+OTHERS = ("#991b1b", "#854d0e", "#166534", "#155e75")
+MARKERS = "s^Dv<>pX"
 
 
 def save_plots(folder: Path, rows: Sequence[Row]) -> list[Path]:
@@ -57,9 +60,8 @@ def _save_plot(path: Path, groups: dict[tuple[str, str, str], list[Row]], metric
     for (frame, _, source), group in groups.items():
         _draw_panel(axes[sources.index(source)][frames.index(frame)], group, metric, f"{frame}, from {source}")
     canvas.draw()
-    Image.frombuffer("RGBA", canvas.get_width_height(), bytes(canvas.buffer_rgba())).convert("RGB").quantize(
-        PALETTE_COLOURS
-    ).save(path, optimize=True)
+    image = Image.frombuffer("RGBA", canvas.get_width_height(), bytes(canvas.buffer_rgba()))
+    image.convert("RGB").save(path, optimize=True)
 
 
 def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> None:
@@ -74,7 +76,7 @@ def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> Non
         x, y = [row.seconds for row in mine], [drawn(getattr(row, metric)) for row in mine]
         low, high = zip(*(row.spread for row in mine), strict=True)
         reach = [[a - b for a, b in zip(x, low, strict=True)], [b - a for a, b in zip(x, high, strict=True)]]
-        marker = "o" if method == "spreadlets" else "s"
+        marker = "o" if method == "spreadlets" else MARKERS[number % len(MARKERS)]
         axes.errorbar(x, y, xerr=reach, fmt=marker, color=colour, markersize=5, elinewidth=0.8, label=method)
     on = front(group, metric)
     ours = [row for row in measured if row.method == "spreadlets" and row.knob == "default"]
@@ -86,14 +88,31 @@ def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> Non
         linewidth=0.9,
         zorder=0,
     )
-    for place, row in enumerate({row.key: row for row in [*on, *ours]}.values()):
-        where = row.seconds, drawn(getattr(row, metric))
-        text = row.knob if row.method == "spreadlets" else row.name
-        above = (4, 5) if place % 2 else (4, -9)
-        axes.annotate(text, where, xytext=above, textcoords="offset points", fontsize=LABEL_POINTS)
     axes.set_xscale("log")
     if all(math.isfinite(drawn(getattr(row, metric))) and drawn(getattr(row, metric)) > 0 for row in measured):
         axes.set_yscale("log")
+    _name_points(axes, [*ours, *on], drawn, metric)
     axes.set(title=title, xlabel="seconds", ylabel=label)
     axes.grid(visible=True, which="both", linewidth=0.3)
     axes.legend(fontsize=LABEL_POINTS)
+
+
+def _name_points(axes: Any, rows: Sequence[Row], drawn: Callable[[float], float], metric: str) -> None:
+    """Write the names of points beside them, those that come first where there is no room for all."""
+    taken: list[tuple[float, float]] = []
+    to_panel = axes.transScale + axes.transLimits
+    for row in rows:
+        where = row.seconds, drawn(getattr(row, metric))
+        x, y = (float(each) for each in to_panel.transform(where))
+        if all(math.hypot(x - left, y - low) > LABEL_DISTANCE for left, low in taken):
+            taken.append((x, y))
+            text = row.knob if row.method == "spreadlets" else row.name
+            right = x > 0.8
+            axes.annotate(
+                text,
+                where,
+                xytext=(-4 if right else 4, 5),
+                textcoords="offset points",
+                fontsize=LABEL_POINTS,
+                horizontalalignment="right" if right else "left",
+            )
