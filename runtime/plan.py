@@ -109,7 +109,10 @@ class Plan:
     left_out: list[str] = field(default_factory=list)
 
     def counts(self) -> dict[str, int]:
-        """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw."""
+        """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
+
+        Pixels that are pooled (`runtime.pool`) count as one.
+        """
         drawn, splats, merged = np.zeros((3, self.table.n_variants), np.int64)
         for source in (each for levels in self.sources for each in levels):
             count = _plan_kernels.count_labels(source.label, self.table.n_variants)
