@@ -28,8 +28,9 @@ BLOCK = 4
 """Side of the blocks, px, that stand for their pixels: windows of the finest scale are one block wide."""
 CAUTION = 2.0
 """By how many times its variance the square of a gain, less one, must exceed noise to be believed at all."""
-SURROUNDINGS = 2.0
-"""Gains and their variances are compared over windows so many times wider."""
+SURROUNDINGS = 4.0
+"""Gains and their variances are compared over windows so many times wider: where few samples carry the light, as under
+the bokeh of a small lamp, a window may hold none of them, and would look certain of being too bright."""
 LARGEST_GAIN = 4.0
 FLOOR = 0.5
 """Brightness, in medians of the image, below which noise does not get less."""
