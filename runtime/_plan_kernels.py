@@ -317,6 +317,17 @@ def border_colours(strip, half, colour):
             colour[col, c] = _median(values, 2 * half + 1)
 
 
+@numba.njit(cache=True, fastmath=False)
+def colour_beyond(colours, down, right, row, col):
+    """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
+    above, below, before, behind = colours
+    if down < row:
+        return above[col]
+    if down > row:
+        return below[col]
+    return before[row] if right < col else behind[row]
+
+
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def extend_frame(frame, colours, reach, origin, extended):
     """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
@@ -356,12 +367,7 @@ def extend_frame(frame, colours, reach, origin, extended):
                 for c in range(4):
                     out_radiance[i, j, c] = weight * radiance[row, col, c]
                 continue
-            if down < 0:
-                colour = above[col]
-            elif down >= height:
-                colour = below[col]
-            else:
-                colour = before[row] if right < 0 else behind[row]
+            colour = colour_beyond((above, below, before, behind), down, right, row, col)
             dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
             out_label[i, j] = -1 if dark else index
             for c in range(4):

@@ -3,6 +3,8 @@
 import numba
 import numpy as np
 
+from runtime._plan_kernels import colour_beyond
+
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
@@ -29,17 +31,6 @@ def place_steps(shift, label, wide, steps):
                 place = np.float64(shift[row, col, 1 - axis]) if index >= 0 else 0.0
                 step = np.rint(place) * STEPS_PER_PIXEL if whole else np.rint(place * STEPS_PER_PIXEL)
                 steps[row, col, axis] = np.int32(step)
-
-
-@numba.njit(cache=True, fastmath=False)
-def _colour_beyond(colours, down, right, row, col):
-    """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
-    above, below, before, behind = colours
-    if down < row:
-        return above[col]
-    if down > row:
-        return below[col]
-    return before[row] if right < col else behind[row]
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
@@ -89,7 +80,7 @@ def list_splats(pixels, colours, padding, reach, first_row, at, splats):
                     continue
                 colour = radiance[row, col]
                 if down != row or across != col:
-                    colour = _colour_beyond(beyond, down, across, row, col)
+                    colour = colour_beyond(beyond, down, across, row, col)
                 if colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0:
                     continue
                 far = reach[index % len(reach)]

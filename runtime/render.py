@@ -287,9 +287,10 @@ def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, 
     """Tell whether the image should be the mean of many samples: same effects, round lens, all of lens and shutter."""
     model = database.grid.model
     moves = bool(samples.motion.any())
-    if not options.defocus or not (options.motion or not moves) or model.settings:
+    if model.settings or not options.defocus or (moves and not options.motion):
         return False
-    return (model.name == "combined" or model.name == "simplelens" and not moves) and takes_whole_lens(samples, camera)
+    shown = model.name == "combined" or (model.name == "simplelens" and not moves)
+    return shown and takes_whole_lens(samples, camera)
 
 
 def _sharp_share(plan: Plan, valid: npt.NDArray[np.bool_]) -> Image:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -35,6 +36,8 @@ LINES_PER_CHUNK: Mapping[int, int] = {NO_COMPRESSION: 1, RLE: 1, ZIPS: 1} | dict
 )
 """Of the compressions by their numbers, from 3 on: ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB."""
 
+PIXELS = "the pixels are truncated or corrupt"
+"""What is wrong with a file whose chunks are not what its headers and tables say."""
 _MALFORMED = (EOFError, struct.error, OSError, KeyError, ValueError, OverflowError, zlib.error)
 
 
@@ -79,13 +82,9 @@ def check_structure(path: str | os.PathLike[str]) -> None:
     InvalidFileError
         If a header is malformed.
     """
-    try:
-        with open(path, "rb") as file:
-            magic, version = struct.unpack("<iI", _exactly(file, 8))
-            if magic != MAGIC or not _headers(file, bool(version & MULTI_PART)):
-                raise ValueError("not an OpenEXR file")
-    except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: its header is malformed ({error})") from None
+    with _opened(path, "its header is malformed") as file:
+        if not _file_headers(file)[1]:
+            raise ValueError("it has no parts")
 
 
 def check_chunks(path: str | os.PathLike[str]) -> None:
@@ -101,22 +100,19 @@ def check_chunks(path: str | os.PathLike[str]) -> None:
     InvalidFileError
         If the file ends early, or a table points to something else than its chunk.
     """
-    try:
-        with open(path, "rb") as file:
-            multi_part, headers, offsets = _tables(file)
-            begin, end = file.tell(), os.fstat(file.fileno()).st_size
-            for part, (header, table) in enumerate(zip(headers, offsets, strict=True)):
-                lines = LINES_PER_CHUNK.get(header.compression)
-                if header.deep or header.tiled or lines is None:
-                    continue
-                for y, offset in zip(range(header.window[1], header.window[3] + 1, lines), table, strict=True):
-                    file.seek(offset)
-                    of_part = struct.unpack("<i", _exactly(file, 4))[0] if multi_part else part
-                    first, packed = struct.unpack("<2i", _exactly(file, 8))
-                    if (of_part, first) != (part, y) or offset < begin or not 0 < packed <= end - file.tell():
-                        raise ValueError(f"the lines from {y} on are not where the table says")
-    except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
+    with _opened(path, PIXELS) as file:
+        multi_part, headers, offsets = _tables(file)
+        begin, end = file.tell(), os.fstat(file.fileno()).st_size
+        for part, (header, table) in enumerate(zip(headers, offsets, strict=True)):
+            lines = LINES_PER_CHUNK.get(header.compression)
+            if header.deep or header.tiled or lines is None:
+                continue
+            for y, offset in zip(range(header.window[1], header.window[3] + 1, lines), table, strict=True):
+                file.seek(offset)
+                of_part = struct.unpack("<i", _exactly(file, 4))[0] if multi_part else part
+                first, packed = struct.unpack("<2i", _exactly(file, 8))
+                if (of_part, first) != (part, y) or offset < begin or not 0 < packed <= end - file.tell():
+                    raise ValueError(f"the lines from {y} on are not where the table says")
 
 
 def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
@@ -136,13 +132,10 @@ def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
     InvalidFileError
         If the file ends early or its tables point outside it.
     """
-    try:
-        with open(path, "rb") as file:
-            multi_part, headers, offsets = _tables(file)
-            deep = [table for header, table in zip(headers, offsets, strict=True) if header.deep]
-            return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
-    except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
+    with _opened(path, PIXELS) as file:
+        multi_part, headers, offsets = _tables(file)
+        deep = [table for header, table in zip(headers, offsets, strict=True) if header.deep]
+        return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
 
 
 def read_deep_part(path: str | os.PathLike[str], part: int) -> DeepPart:
@@ -165,12 +158,19 @@ def read_deep_part(path: str | os.PathLike[str], part: int) -> DeepPart:
         If the file is truncated or corrupt, a channel is subsampled, or the compression is none that deep scanlines may
         have.
     """
+    with _opened(path, PIXELS) as file:
+        multi_part, headers, offsets = _tables(file)
+        return _deep_part(file, headers[part], offsets[part], multi_part)
+
+
+@contextmanager
+def _opened(path: str | os.PathLike[str], problem: str) -> Iterator[BinaryIO]:
+    """Open a file, and say what is wrong with it where it cannot be read as it should."""
     try:
         with open(path, "rb") as file:
-            multi_part, headers, offsets = _tables(file)
-            return _deep_part(file, headers[part], offsets[part], multi_part)
+            yield file
     except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt ({error})") from None
+        raise InvalidFileError(f"{path}: {problem} ({error})") from None
 
 
 def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], multi_part: bool) -> DeepPart:
@@ -260,15 +260,20 @@ def _runs(block: bytes, size: int) -> bytes:
 
 def _tables(file: BinaryIO) -> tuple[bool, list[_PartHeader], list[Sequence[int]]]:
     """Return whether there are several parts, their headers, and where the chunks of each begin."""
-    magic, version = struct.unpack("<iI", _exactly(file, 8))
-    if magic != MAGIC:
-        raise ValueError("not an OpenEXR file")
-    multi_part = bool(version & MULTI_PART)
-    headers = _headers(file, multi_part)
+    multi_part, headers = _file_headers(file)
     if 8 * sum(header.n_chunks for header in headers) > os.fstat(file.fileno()).st_size:
         raise EOFError("the file ends early")
     tables = [struct.unpack(f"<{header.n_chunks}Q", _exactly(file, 8 * header.n_chunks)) for header in headers]
     return multi_part, headers, list(tables)
+
+
+def _file_headers(file: BinaryIO) -> tuple[bool, list[_PartHeader]]:
+    """Return whether there are several parts, and their headers."""
+    magic, version = struct.unpack("<iI", _exactly(file, 8))
+    if magic != MAGIC:
+        raise ValueError("not an OpenEXR file")
+    multi_part = bool(version & MULTI_PART)
+    return multi_part, _headers(file, multi_part)
 
 
 def _headers(file: BinaryIO, multi_part: bool) -> list[_PartHeader]:

@@ -527,6 +527,17 @@ def test_the_command_prints_one_json_object(files, small_combined_path):
     assert report["ssim"] > 0.8 and (files / "out.exr").exists()
 
 
+def test_calibration_can_be_left_out(files, small_combined_path):
+    made = {}
+    for options in ((), ("--no-calibrate",)):
+        result = run(files, small_combined_path, "--reference", str(files / "reference.exr"), *options)
+        assert result.exit_code == 0, result.output
+        report = json.loads(result.stdout)
+        made[options] = report["psnr"], "calibration" in report["plan"]["left_out"]
+    assert made[()][0] > made["--no-calibrate",][0]
+    assert made[()][1] is False and made["--no-calibrate",][1] is True
+
+
 def test_fewer_samples_can_be_asked_for(files, small_combined_path):
     reference = "--reference", str(files / "reference.exr")
     found = [
