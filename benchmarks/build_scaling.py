@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from precompute.build import build_database, model_grid
-from precompute.work import CellTask, build_unit, plan_units
-from spreadlets.camera import read_camera
-from spreadlets.psf_model import PsfGrid
+from spreadlets.precompute.build.build import build_database, model_grid
+from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
+from spreadlets.psf.model import PsfGrid
+from spreadlets.scene.camera import read_camera
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = Path(__file__).parent / "results"

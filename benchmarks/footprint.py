@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 import spreadlets as sp
-from spreadlets.exr import write_frame
+from spreadlets.files.exr_frames import write_frame
 
 RESULTS = Path(__file__).parent / "results"
 DATA = Path(sp.__file__).parent / "data"
@@ -48,7 +48,7 @@ def picture(height: int, width: int, n_layers: int) -> sp.Frame:
 def synth(*arguments: object) -> tuple[dict[str, object], float]:
     """Run ``synth`` in a process of its own; return its figures and the wall time of the whole process, s."""
     begin = time.perf_counter()
-    command = [sys.executable, "-m", "spreadlets.cli", "synth", *map(str, arguments), "--json"]
+    command = [sys.executable, "-m", "spreadlets.cli.main", "synth", *map(str, arguments), "--json"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ)
     return json.loads(done.stdout), time.perf_counter() - begin
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from poisson_sources import TRAINING, UNSEEN, Family, Rng
 
-from runtime.convolution_pyramid import Integrator, UnbalancedSourceWarning, integrate
 from spreadlets.errors import InvalidParameterError
-from spreadlets.laplacian import laplacian, solve_dirichlet, solve_free_space
+from spreadlets.psf.laplacian import laplacian, solve_dirichlet, solve_free_space
+from spreadlets.runtime.integrate.convolution_pyramid import Integrator, UnbalancedSourceWarning, integrate
 
 SEED = 7
 N_CHANNELS = 4

@@ -25,7 +25,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from precompute.build import build_database
+from spreadlets.precompute.build.build import build_database
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -37,7 +37,7 @@ ROOM_FOR_ONE = 5
 
 CHILD = """
 import json, sys, time
-from precompute.build import build_database
+from spreadlets.precompute.build.build import build_database
 from spreadlets.errors import SpreadletsError
 case = json.loads(sys.argv[2])
 delay = case.pop("delay", 0.0)

@@ -15,10 +15,10 @@ import numpy as np
 from scenes import RESULTS, save_pictures
 
 import spreadlets as sp
-from precompute.light_tracing import trace_psf
-from runtime.render import Options, synthesize
 from spreadlets.api import DensePsfs
 from spreadlets.metrics import display_encode
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.runtime.render import Options, synthesize
 
 PAPER_SYNTHESIS = {
     "whirl": {"spreadlets": (0.0880, 0.94), "gather": (0.2996, 0.81), "dense": (0.7228, 0.94)},

@@ -1,4 +1,4 @@
-"""The layered reconstructions of defocus and motion blur (`runtime.sheared.lrdm`) on three rendered frames.
+"""The layered reconstructions of defocus and motion blur (`spreadlets.runtime.sheared.lrdm`) on three rendered frames.
 
     python benchmarks/lrdm.py [--frames DIR] [--tables quality merging sparse settings memory speed defocus]
 
@@ -27,10 +27,10 @@ import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
-from runtime.sheared.lrdm import Lrdm, PracticalLrdm, spread_of
-from runtime.sheared.reconstruct import make_method
-from runtime.sheared.samples import Samples
 from spreadlets.metrics import psnr, ssim
+from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm, spread_of
+from spreadlets.runtime.sheared.reconstruct import make_method
+from spreadlets.runtime.sheared.samples import Samples
 
 METHODS = ("lrdm", "lrdm-sheared", "lrdm-ewa")
 COUNTS = (1, 2, 4)

@@ -14,12 +14,12 @@ import matplotlib.image
 import numpy as np
 
 import spreadlets as sp
-from precompute.build import model_settings
-from precompute.light_tracing import trace_psf
-from spreadlets.database import open_database
 from spreadlets.metrics import display_encode
-from spreadlets.psf_model import get_model
-from spreadlets.spreadlet import Spreadlet
+from spreadlets.precompute.build.build import model_settings
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.psf.database import open_database
+from spreadlets.psf.model import get_model
+from spreadlets.psf.spreadlet import Spreadlet
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "models"

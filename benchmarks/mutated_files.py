@@ -174,12 +174,14 @@ def spoil_database(path: Path, rng: np.random.Generator) -> None:
 
 def write_samples_of_every_kind(folder: Path) -> None:
     """Write one good file of every kind."""
-    from precompute.build import build_database
-    from precompute.prescription import shipped_lenses
-    from spreadlets import deep, exr, sample_files, tlfr
-    from spreadlets.camera import ThinLens
-    from spreadlets.frame import Frame
-    from spreadlets.sample_buffer import SampleBuffer
+    from spreadlets.files import deep, tlfr
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files import exr_samples as sample_files
+    from spreadlets.precompute.build.build import build_database
+    from spreadlets.precompute.models.prescription import shipped_lenses
+    from spreadlets.scene.camera import ThinLens
+    from spreadlets.scene.frame import Frame
+    from spreadlets.scene.samples import SampleBuffer
 
     rng = np.random.default_rng(3)
     build_database("combined", folder / "database", samples=12, max_coc=5.0, max_motion=5.0, rays=20_000, jobs=1)
@@ -227,7 +229,7 @@ def agree(name: str, found: np.ndarray, expected: np.ndarray) -> None:
 
 def read_database(path: Path, original: Path) -> Further:
     """Read all of a database; it must be as before, as everything in it has checksums."""
-    from spreadlets.database import open_database
+    from spreadlets.psf.database import open_database
 
     with open_database(path) as found:
         table = everything(found)
@@ -238,7 +240,7 @@ def read_database(path: Path, original: Path) -> Further:
 
 @functools.cache
 def originals(original: Path) -> dict[str, np.ndarray]:
-    from spreadlets.database import open_database
+    from spreadlets.psf.database import open_database
 
     with open_database(original) as database:
         return everything(database)
@@ -246,7 +248,7 @@ def originals(original: Path) -> dict[str, np.ndarray]:
 
 def read_database_as_stored(path: Path, original: Path) -> Further:
     """Read all of a database; it must be what plain HDF5 finds in the file."""
-    from spreadlets.database import open_database
+    from spreadlets.psf.database import open_database
 
     with open_database(path) as found:
         table = everything(found)
@@ -299,7 +301,7 @@ def synthesise_of(frame, folder: Path) -> None:
 
 def flat_planes(path: Path) -> list[dict[str, np.ndarray]]:
     """Read flat zipped scanlines without the library: a list of parts, each with its planes by name."""
-    from spreadlets import exr_chunks
+    from spreadlets.files import exr_chunks
 
     parts = []
     with open(path, "rb") as file:
@@ -330,8 +332,8 @@ def flat_planes(path: Path) -> list[dict[str, np.ndarray]]:
 
 
 def read_frame_file(path: Path, original: Path) -> Further:
-    from spreadlets import exr
-    from spreadlets.exr_file import read_parts
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.exr_parts import read_parts
 
     frame = exr.read_frame(path)
     compare_flat(path, original, read_parts(path))
@@ -339,8 +341,8 @@ def read_frame_file(path: Path, original: Path) -> Further:
 
 
 def read_samples_file(path: Path, original: Path) -> None:
-    from spreadlets.exr_file import read_parts
-    from spreadlets.sample_files import read_samples
+    from spreadlets.files.exr_parts import read_parts
+    from spreadlets.files.exr_samples import read_samples
 
     read_samples(path)
     compare_flat(path, original, read_parts(path))
@@ -366,8 +368,8 @@ def compare_planes(parts: list, expected: list[dict[str, np.ndarray]]) -> None:
 
 def read_deep_file(path: Path, original: Path) -> Further:
     """Read a deep image; compare with the library's own reader, with the original where that is stricter than zlib."""
-    from spreadlets import exr
-    from spreadlets.exr_chunks import read_deep_part
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.exr_chunks import read_deep_part
 
     frame = exr.read_frame(path)
     expected = deep_channels(path) or deep_channels(original)
@@ -380,7 +382,7 @@ def deep_channels(path: Path) -> dict[str, np.ndarray]:
     """Read the samples of each channel by the library; none if it refuses them."""
     import OpenEXR
 
-    from spreadlets.exr_file import library_messages
+    from spreadlets.files.exr_parts import library_messages
 
     with library_messages():
         parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -391,8 +393,8 @@ def deep_channels(path: Path) -> dict[str, np.ndarray]:
 
 def read_tlfr_file(path: Path, original: Path) -> None:
     """Read a buffer; its samples must be the numbers of the file, in whatever order of pixels."""
-    from spreadlets.camera import ThinLens
-    from spreadlets.sample_files import read_samples
+    from spreadlets.files.exr_samples import read_samples
+    from spreadlets.scene.camera import ThinLens
 
     content = path.read_bytes()
     split = int(Path(f"{original}.split").read_text())
@@ -412,7 +414,7 @@ def read_tlfr_file(path: Path, original: Path) -> None:
 
 def read_lens_file(path: Path, original: Path) -> None:
     """Read a prescription; its numbers must be those of the lines."""
-    from precompute.prescription import paraxial, read_prescription
+    from spreadlets.precompute.models.prescription import paraxial, read_prescription
 
     lens = read_prescription(str(path))
     rows = [line.split("#")[0].split() for line in path.read_text().splitlines()]
@@ -423,7 +425,7 @@ def read_lens_file(path: Path, original: Path) -> None:
 
 
 def read_camera_file(path: Path, original: Path) -> None:
-    from spreadlets.camera import read_camera
+    from spreadlets.scene.camera import read_camera
 
     camera, content = read_camera(path), json.loads(path.read_bytes())
     for key in ("focal_length_mm", "sensor_width_mm", "f_number"):
@@ -449,8 +451,10 @@ READERS: dict[str, Callable[[Path, Path], Further | None]] = {
 
 def lower_limits() -> None:
     """Hold the readers to `LIMIT_BYTES`, so that what exceeds the limits is small enough to be tried by thousands."""
-    import spreadlets.database as database
-    from spreadlets import database_file, deep, exr_file, tlfr
+    import spreadlets.psf.database as database
+    from spreadlets.files import deep, tlfr
+    from spreadlets.files import exr_parts as exr_file
+    from spreadlets.psf import database_file
 
     for module in (deep, exr_file, tlfr):
         module.MAX_VALUES = LIMIT_BYTES // 4

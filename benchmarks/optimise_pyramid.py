@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from poisson_sources import TRAINING, UNSEEN, Plane
 from scipy.optimize import least_squares
 
-from runtime.convolution_pyramid import COARSER_FILTERS, FINEST_FILTERS, LevelFilters
-from spreadlets.laplacian import laplacian, solve_dirichlet
+from spreadlets.psf.laplacian import laplacian, solve_dirichlet
+from spreadlets.runtime.integrate.convolution_pyramid import COARSER_FILTERS, FINEST_FILTERS, LevelFilters
 
 SEED = 20111
 TRAINING_SIDE, TEST_SIDE, COARSEST_SIDE = 127, 255, 15

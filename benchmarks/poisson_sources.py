@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from spreadlets.laplacian import laplacian, lattice_biharmonic
+from spreadlets.psf.laplacian import laplacian, lattice_biharmonic
 
 Plane = NDArray[np.float64]
 Rng = np.random.Generator

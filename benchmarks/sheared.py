@@ -1,4 +1,4 @@
-"""The layered reconstructions of SLR (`runtime.sheared`) on three rendered frames, and on cases whose answer is known.
+"""The layered reconstructions of SLR (`spreadlets.runtime.sheared`) on three rendered frames, and on cases whose answer is known.
 
     python benchmarks/sheared.py [--frames DIR] [--tables quality settings seams speed]
 

@@ -24,8 +24,8 @@ import numpy as np
 from scipy import ndimage
 
 import spreadlets as sp
-from runtime.render import Clock, Options, synthesize
 from spreadlets.api import DensePsfs
+from spreadlets.runtime.render import Clock, Options, synthesize
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("coins", "whirl", "fence")

@@ -31,19 +31,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 from skimage.metrics import structural_similarity
 
-from precompute.annealing import anneal
-from precompute.build import CellTask, build_cell
-from precompute.dart_throwing import throw_darts
-from precompute.fit import fit_values
-from precompute.fitted_annealing import anneal_fitted
-from precompute.green import reconstruct
-from precompute.light_tracing import trace_psf
-from precompute.lloyd import collapse, relax
-from precompute.sparsify import sparsify
-from spreadlets.laplacian import laplacian
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, SSIM_OPTIONS, psf_l1, psf_similarity
-from spreadlets.psf_model import PsfGrid, get_model
-from spreadlets.spreadlet import Spreadlet
+from spreadlets.precompute.build.build import CellTask, build_cell
+from spreadlets.precompute.sparsify.annealing import anneal
+from spreadlets.precompute.sparsify.dart_throwing import throw_darts
+from spreadlets.precompute.sparsify.fit import fit_values
+from spreadlets.precompute.sparsify.fitted_annealing import anneal_fitted
+from spreadlets.precompute.sparsify.green import reconstruct
+from spreadlets.precompute.sparsify.lloyd import collapse, relax
+from spreadlets.precompute.sparsify.sparsify import sparsify
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.psf.laplacian import laplacian
+from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.psf.spreadlet import Spreadlet
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -226,7 +226,7 @@ def measure_psf(psf: np.ndarray, density: float) -> Measured:
 
 def forced_sparse(psf: np.ndarray, density: float) -> Spreadlet:
     """Sparsify a PSF's Laplacian even if its own pixels are cheaper."""
-    module = sys.modules["precompute.sparsify"]
+    module = sys.modules["spreadlets.precompute.sparsify.sparsify"]
     constants = {"THIN_RADIUS": 0.0, "DIRECT_THRESHOLDS": ()}
     with patch.multiple(module, **constants):
         return sparsify(psf, density=density, seed=SEED)[0]

@@ -16,8 +16,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from precompute.light_tracing import trace_psf
-from spreadlets.psf_model import get_model
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.psf.model import get_model
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))

@@ -16,22 +16,31 @@ import numba.core.event
 import numpy as np
 import numpy.typing as npt
 
-from runtime import layers
-from runtime.calibration import calibrate, takes_whole_lens
-from runtime.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
-from runtime.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
-from runtime.denoise import DENOISERS, denoise_sharp
-from runtime.fireflies import NO_SHIFT, clamp_fireflies
-from runtime.pixels import Pixels, frame_pixels, sample_pixels
-from runtime.plan import DEFAULT_TOLERANCE, Plan, Settings, plan_pixels
-from runtime.splat import Canvas, Runs, canvas_of, find_runs, gather, splat_direct, splat_laplacian, sum_rows
-from runtime.variant import DensePsf
-from spreadlets.camera import ThinLens
-from spreadlets.database import Database
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame, Layer
-from spreadlets.labels import view_differences
-from spreadlets.sample_buffer import SampleBuffer
+from spreadlets.psf.database import Database
+from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LAST, LEAST_SEEN, NOTHING, add_layer, is_opaque
+from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
+from spreadlets.runtime.finish.denoise import DENOISERS, denoise_sharp
+from spreadlets.runtime.integrate.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
+from spreadlets.runtime.label.fireflies import NO_SHIFT, clamp_fireflies
+from spreadlets.runtime.label.labels import view_differences
+from spreadlets.runtime.label.pixels import Pixels, frame_pixels, sample_pixels
+from spreadlets.runtime.plan import layering as layers
+from spreadlets.runtime.plan.plan import DEFAULT_TOLERANCE, Plan, Settings, plan_pixels
+from spreadlets.runtime.plan.variant import DensePsf
+from spreadlets.runtime.splat.splat import (
+    Canvas,
+    Runs,
+    canvas_of,
+    find_runs,
+    gather,
+    splat_direct,
+    splat_laplacian,
+    sum_rows,
+)
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame, Layer
+from spreadlets.scene.samples import SampleBuffer
 
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
@@ -114,7 +123,7 @@ class Options:
     defocus, motion : bool
         Whether to apply each effect.
     integrator : str
-        Poisson solver, see `runtime.convolution_pyramid.integrate`.
+        Poisson solver, see `spreadlets.runtime.integrate.convolution_pyramid.integrate`.
     cycles : int
         Cycles of the integrator ``multigrid``; the others take no notice.
     tolerance : float
@@ -127,14 +136,14 @@ class Options:
         How many times as bright as any other within a pixel of where it comes from a sample may be; infinite for any.
         By default any in synthesis, and `SAMPLE_CLAMP` in reconstruction.
     denoise : str or None
-        Denoiser for the sharp parts of a reconstruction, see `runtime.denoise.denoise_sharp`.
+        Denoiser for the sharp parts of a reconstruction, see `spreadlets.runtime.finish.denoise.denoise_sharp`.
     calibrate : bool
         Whether a reconstruction is brought to its samples' local means, where those are of the whole lens and shutter,
-        see `runtime.calibration.calibrate`.
+        see `spreadlets.runtime.finish.calibration.calibrate`.
     dense_psf : callable or None
         If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
     filtering : bool
-        Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
+        Gather with the PSF of the receiving pixel instead of splatting, see `spreadlets.runtime.splat.splat.gather`; needs `dense_psf`.
     """
 
     defocus: bool = True

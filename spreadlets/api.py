@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.camera import ThinLens
-from spreadlets.database import Database, open_database
-from spreadlets.database_file import refusing
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame
-from spreadlets.labels import illumination
-from spreadlets.sample_buffer import SampleBuffer
+from spreadlets.psf.database import Database, open_database
+from spreadlets.psf.database_file import refusing
+from spreadlets.runtime.label.labels import illumination
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
+from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
-    from runtime.render import Clock, Options
+    from spreadlets.runtime.render import Clock, Options
 
 Image = npt.NDArray[np.float32]
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
 LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
-"""Those of `runtime.sheared`, a backend that nothing else needs."""
+"""Those of `spreadlets.runtime.sheared`, a backend that nothing else needs."""
 DENOISERS = ("bm3d", "oidn")
 RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
 SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp")
@@ -138,7 +138,7 @@ def synthesize(
     InvalidDatabaseError
         If the database cannot be used.
     """
-    from runtime import render
+    from spreadlets.runtime import render
 
     _check_method(method, METHODS)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
@@ -210,8 +210,8 @@ def reconstruct(
         (LRDM 2014, and with two faster screen filters of 2015). ``mean``: the mean of each pixel's samples, the plain
         Monte Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
     settings : mapping, optional
-        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr` and
-        `runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
+        Of a layered reconstruction, by name, see the fields of `spreadlets.runtime.sheared.slr.Slr` and
+        `spreadlets.runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
     denoise : {"oidn", "bm3d"}, optional
         Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
         default off. For methods that splat.
@@ -244,7 +244,7 @@ def reconstruct(
             raise InvalidParameterError(f"calibrate is no option of method {method!r}")
         image, figures = _without_splatting(samples, camera, method, settings or {}, options)
         return (image, figures) if report else image
-    from runtime import render
+    from spreadlets.runtime import render
 
     with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
         given, clock = _render_options(opened, method, options)
@@ -266,7 +266,7 @@ def _without_splatting(
         raise InvalidParameterError(f"{given[0]} is no option of method {method!r}")
     clock = options.get("clock")
     if method in LAYERED_METHODS:
-        from runtime.sheared import reconstruct as layered
+        from spreadlets.runtime.sheared import reconstruct as layered
 
         if options.get("layers") is not None:
             settings = {"layers": options["layers"], **settings}
@@ -277,11 +277,11 @@ def _without_splatting(
         value = options.get(name)
         if value is not None and value is not True:
             raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
-    from runtime import render
+    from spreadlets.runtime import render
 
     image, figures = render.average(samples, clock)
     if method in DENOISERS:
-        from runtime.denoise import denoise
+        from spreadlets.runtime.finish.denoise import denoise
 
         image, figures = denoise(image, method, clock or render.Clock())
     return image, figures
@@ -295,7 +295,7 @@ def tune_layered_methods() -> dict[str, Any]:
     dict
         ``file`` where the ``work_sizes`` are kept, and ``time_ms`` by step and size.
     """
-    from runtime.sheared.tune import tune
+    from spreadlets.runtime.sheared.tune import tune
 
     sizes, times = tune()
     return {"file": str(sizes.save()), "work_sizes": vars(sizes), "time_ms": times}
@@ -308,7 +308,7 @@ def _check_method(method: str, allowed: Sequence[str]) -> None:
 
 def _render_options(opened: Database, method: str, options: RenderOptions) -> tuple[Options, Clock | None]:
     """Return the options of the runtime: those that are not given keep its defaults."""
-    from runtime.render import Options
+    from spreadlets.runtime.render import Options
 
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     clock = given.pop("clock", None)
@@ -347,14 +347,14 @@ def build_database(
     Parameters
     ----------
     model, path, options
-        See `precompute.build.build_database`.
+        See `spreadlets.precompute.build.build.build_database`.
     frames : sequence of Frame, optional
         Build only the cells and directions that these frames use; needs the camera.
     camera : ThinLens, optional
         Lens and shutter for `frames`, and for models that depend on the camera.
     """
-    from precompute.build import build_database as build
-    from precompute.build import build_grid, takes_option
+    from spreadlets.precompute.build.build import build_database as build
+    from spreadlets.precompute.build.build import build_grid, takes_option
 
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
@@ -366,7 +366,7 @@ def build_database(
     if frames and takes_option(model, "width") and options.get("width") is None and not extend:
         options["width"] = frames[0].shape[1]
     if frames is not None and camera is not None:
-        from runtime.plan import needed_spreadlets
+        from spreadlets.runtime.plan.plan import needed_spreadlets
 
         of_build = ("density", "rays", "jobs", "scheduler", "seed", "extend", "progress", "log")
         settings = {name: value for name, value in options.items() if name not in of_build}
@@ -376,29 +376,29 @@ def build_database(
 
 
 def verify_database(database: Database, **options: Any) -> dict[str, Any]:
-    """Check an open database against its recorded figures; see `precompute.verification.verify_database`."""
-    from precompute.verification import verify_database as verify
+    """Check an open database against its recorded figures; see `spreadlets.precompute.build.verification.verify_database`."""
+    from spreadlets.precompute.build.verification import verify_database as verify
 
     return verify(database, **options)
 
 
 def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
-    """Draw the quality of an open database as a PNG file; see `spreadlets.plot.plot_database`."""
-    from spreadlets.plot import plot_database as plot
+    """Draw the quality of an open database as a PNG file; see `spreadlets.reports.database_plot.plot_database`."""
+    from spreadlets.reports.database_plot import plot_database as plot
 
     plot(database, path, DensePsfs(database))
 
 
 @dataclass(frozen=True)
 class DensePsfs:
-    """The full PSFs of a database's cells, traced as its build did; see `runtime.variant.DensePsf`."""
+    """The full PSFs of a database's cells, traced as its build did; see `spreadlets.runtime.plan.variant.DensePsf`."""
 
     database: Database
     by_rows: bool = False
 
     def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
         """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
-        from precompute.light_tracing import trace_psf
+        from spreadlets.precompute.trace.light_tracing import trace_psf
 
         grid = self.database.grid
         stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.errors import InvalidFrameError
-from spreadlets.frame import FloatArray, check_finite, image_array
+from spreadlets.scene.frame import FloatArray, check_finite, image_array
 
 SSIM_OPTIONS: dict[str, Any] = {
     "gaussian_weights": True,

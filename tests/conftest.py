@@ -1,7 +1,7 @@
 import pytest
 
-from precompute.build import build_database
-from spreadlets.database import open_database
+from spreadlets.precompute.build.build import build_database
+from spreadlets.psf.database import open_database
 
 
 @pytest.fixture(scope="session")

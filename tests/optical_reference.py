@@ -74,7 +74,7 @@ def _optic(lens, wavelength_nm, sensor):
 def _rows(name, largest_field):
     from optiland.rays import RealRays
 
-    from precompute.prescription import read_prescription
+    from spreadlets.precompute.models.prescription import read_prescription
 
     lens = read_prescription(name)
     at_d = _optic(lens, LINES_NM[1], 0.0)

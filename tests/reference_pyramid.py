@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from spreadlets.laplacian import laplacian, solve_dirichlet
+from spreadlets.psf.laplacian import laplacian, solve_dirichlet
 
 
 def published_naive(source, filters):

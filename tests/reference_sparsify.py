@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from spreadlets.laplacian import lattice_green
+from spreadlets.psf.laplacian import lattice_green
 
 
 def throw_darts(cumulative, radius, uniform, max_failures):

@@ -6,16 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from precompute.light_tracing import trace_psf
-from precompute.sparsify import split_spike
-from spreadlets.database import open_database
-from spreadlets.metrics import (
-    PSF_MARGIN_FRACTION,
-    PSF_MARGIN_PX,
-    PSF_SUPPORT_THRESHOLD,
-    psf_l1,
-    psf_similarity,
-)
+from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
+from spreadlets.precompute.sparsify.sparsify import split_spike
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.psf.database import open_database
 
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
 FRESH = "built from scratch"

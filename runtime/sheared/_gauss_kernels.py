@@ -17,7 +17,7 @@ import math
 import numba
 import numpy as np
 
-from runtime.sheared._tile_kernels import N_SUMS, composite, gaussian, share_out
+from spreadlets.runtime.sheared._tile_kernels import N_SUMS, composite, gaussian, share_out
 
 ROTATED, SHEARED, EWA, ROUND_ROTATED, ROUND_SHEARED, ROUND_EWA = range(6)
 
@@ -560,7 +560,7 @@ def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
         Holds xx, xy and yy of the covariances from a column on.
     column : int
     jobs : tuple
-        See `runtime.sheared._lrdm_kernels.reproject_layers`.
+        See `spreadlets.runtime.sheared._lrdm_kernels.reproject_layers`.
     tile : int
         Side of a tile, px.
     sums, between : ndarray of one dimension, float32

@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from runtime.sheared._tile_kernels import MET, N_SUMS, SEEN
+from spreadlets.runtime.sheared._tile_kernels import MET, N_SUMS, SEEN
 
 COUNT, COC, COC_2, MX, MY, MXX, MXY, MYY = range(8)
 """Columns of the moments of a partition: sums over its samples of 1, CoC, its square, motion and its products."""

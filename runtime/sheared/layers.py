@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from runtime.sheared import _tile_kernels
-from runtime.sheared.partitions import BIN, Partitioning
-from runtime.sheared.samples import FloatArray, Samples
-from runtime.sheared.tiles import CELL, Tiling
+from spreadlets.runtime.sheared import _tile_kernels
+from spreadlets.runtime.sheared.partitions import BIN, Partitioning
+from spreadlets.runtime.sheared.samples import FloatArray, Samples
+from spreadlets.runtime.sheared.tiles import CELL, Tiling
 
 NONE = -1
 """In place of a layer's number: the partition has no sample in the tile."""

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from runtime.sheared.samples import Samples
-from runtime.sheared.tiles import Tiling
+from spreadlets.runtime.sheared.samples import Samples
+from spreadlets.runtime.sheared.tiles import Tiling
 
 Image = npt.NDArray[np.float32]
 

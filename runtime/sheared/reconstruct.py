@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from runtime.render import Clock
-from runtime.sheared.lrdm import Lrdm, PracticalLrdm
-from runtime.sheared.method import Image, Method
-from runtime.sheared.samples import Samples
-from runtime.sheared.slr import Slr
-from spreadlets.camera import ThinLens
 from spreadlets.errors import InvalidParameterError
-from spreadlets.sample_buffer import SampleBuffer
+from spreadlets.runtime.render import Clock
+from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm
+from spreadlets.runtime.sheared.method import Image, Method
+from spreadlets.runtime.sheared.samples import Samples
+from spreadlets.runtime.sheared.slr import Slr
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
 
 METHODS: dict[str, Callable[..., Method]] = {
     "sheared": partial(Slr, sheared=True),
@@ -37,7 +37,7 @@ def make_method(name: str, settings: Mapping[str, object]) -> Method:
     name : str
         One of `METHODS`.
     settings : mapping
-        Values by the names of the fields of its dataclass, such as those of `runtime.sheared.slr.Slr`.
+        Values by the names of the fields of its dataclass, such as those of `spreadlets.runtime.sheared.slr.Slr`.
 
     Raises
     ------

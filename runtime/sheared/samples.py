@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.camera import ThinLens
-from spreadlets.sample_buffer import SampleBuffer
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from runtime.sheared import _slr_kernels
-from runtime.sheared.filters import (
+from spreadlets.errors import InvalidParameterError
+from spreadlets.runtime.sheared import _slr_kernels
+from spreadlets.runtime.sheared.filters import (
     APERTURES,
     LARGEST_SIGMA,
     REACH,
@@ -19,12 +20,11 @@ from runtime.sheared.filters import (
     sheared_filters,
     with_uniform_lens,
 )
-from runtime.sheared.layers import Layers, find_layers
-from runtime.sheared.method import Image, run
-from runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
-from runtime.sheared.samples import Samples
-from runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
-from spreadlets.errors import InvalidParameterError
+from spreadlets.runtime.sheared.layers import Layers, find_layers
+from spreadlets.runtime.sheared.method import Image, run
+from spreadlets.runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
+from spreadlets.runtime.sheared.samples import Samples
+from spreadlets.runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
 
 LEAST_PER_PIXEL = 1e-3
 """Mean number of samples in a pixel below which a buffer is as good as empty."""

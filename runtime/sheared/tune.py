@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from runtime.sheared.lrdm import LrdmFilter, PracticalLrdm, Work, in_parts, spread_of
-from runtime.sheared.samples import Samples
-from runtime.sheared.work import WorkSizes
-from spreadlets.camera import ThinLens
-from spreadlets.sample_buffer import SampleBuffer
+from spreadlets.runtime.sheared.lrdm import LrdmFilter, PracticalLrdm, Work, in_parts, spread_of
+from spreadlets.runtime.sheared.samples import Samples
+from spreadlets.runtime.sheared.work import WorkSizes
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
 
 CANDIDATES = (1, 2, 4, 8, 16, 32)
 SIDE = 256

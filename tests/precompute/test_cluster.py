@@ -9,9 +9,9 @@ import numba
 import pytest
 from building import CASE, Stop, assert_same, stop_after
 
-from precompute import workers
-from precompute.build import build_database
 from spreadlets.errors import BuildStoppedError
+from spreadlets.precompute.build import workers
+from spreadlets.precompute.build.build import build_database
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="builds databases")

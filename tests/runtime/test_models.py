@@ -4,15 +4,15 @@ import numba
 import numpy as np
 import pytest
 
-from precompute.build import build_database, model_settings
-from runtime.plan import needed_spreadlets
 from spreadlets.api import synthesize
-from spreadlets.camera import ThinLens
-from spreadlets.database import open_database
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame
 from spreadlets.metrics import ssim
-from spreadlets.psf_model import PsfGrid, get_model
+from spreadlets.precompute.build.build import build_database, model_settings
+from spreadlets.psf.database import open_database
+from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.runtime.plan.plan import needed_spreadlets
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
 
 SIZE = 64
 CAMERA = ThinLens(

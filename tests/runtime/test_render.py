@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from reference import capsule_psf, disc_coverage
 
-from runtime.variant import in_full, scaled
 from spreadlets.api import synthesize as synthesize_any
-from spreadlets.camera import ThinLens
 from spreadlets.errors import InvalidParameterError
-from spreadlets.frame import Frame
 from spreadlets.metrics import display_encode, psf_l1
+from spreadlets.runtime.plan.variant import in_full, scaled
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
 
 SIZE = 65
 
@@ -341,8 +341,8 @@ def test_an_unknown_method_is_named(small_combined):
 
 
 def test_a_model_without_motion_says_that_it_ignores_it(tmp_path):
-    from precompute.build import build_database
-    from spreadlets.database import open_database
+    from spreadlets.precompute.build.build import build_database
+    from spreadlets.psf.database import open_database
 
     build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0)
     with open_database(tmp_path / "s.h5") as database, pytest.warns(UserWarning, match="no axis 'motion'.*100.0 %"):

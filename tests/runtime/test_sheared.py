@@ -10,10 +10,15 @@ import pytest
 from click.testing import CliRunner
 from reference_sheared import filtered, gaussian, irradiance, reconstruct_naive
 
-import runtime.denoise
-from runtime.sheared import _tile_kernels
-from runtime.sheared import layers as layering
-from runtime.sheared.filters import (
+import spreadlets.runtime.finish.denoise
+from spreadlets.api import reconstruct
+from spreadlets.cli.main import main
+from spreadlets.errors import InvalidParameterError
+from spreadlets.files.exr_frames import write_image
+from spreadlets.files.exr_samples import write_samples
+from spreadlets.runtime.sheared import _tile_kernels
+from spreadlets.runtime.sheared import layers as layering
+from spreadlets.runtime.sheared.filters import (
     LARGEST_SIGMA,
     REACH,
     SIGMA_LENS,
@@ -23,18 +28,13 @@ from runtime.sheared.filters import (
     sheared_filters,
     with_uniform_lens,
 )
-from runtime.sheared.layers import NONE, find_layers
-from runtime.sheared.partitions import BIN, PER_SIDE, Partitioning, edges_behind_focus
-from runtime.sheared.samples import Samples
-from runtime.sheared.slr import Slr
-from runtime.sheared.tiles import Tiling
-from spreadlets.api import reconstruct
-from spreadlets.camera import ThinLens
-from spreadlets.cli import main
-from spreadlets.errors import InvalidParameterError
-from spreadlets.exr import write_image
-from spreadlets.sample_buffer import SampleBuffer
-from spreadlets.sample_files import write_samples
+from spreadlets.runtime.sheared.layers import NONE, find_layers
+from spreadlets.runtime.sheared.partitions import BIN, PER_SIDE, Partitioning, edges_behind_focus
+from spreadlets.runtime.sheared.samples import Samples
+from spreadlets.runtime.sheared.slr import Slr
+from spreadlets.runtime.sheared.tiles import Tiling
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
 
 CAMERA = ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=2.0, focus_distance_m=4.0, shutter=(-0.25, 0.25))
 UNCLAMPED = 1e6
@@ -519,7 +519,7 @@ def test_the_command_line_reconstructs_with_settings(tmp_path):
     (tmp_path / "camera.json").write_text(json.dumps(camera | {"shutter_open_close_frames": [-0.25, 0.25]}))
     paths = [str(tmp_path / name) for name in ("samples.exr", "out.exr", "camera.json", "reference.exr")]
     arguments = ["reconstruct", paths[0], "-o", paths[1], "--camera", paths[2], "--reference", paths[3], "--json"]
-    from spreadlets.cli import cli
+    from spreadlets.cli.main import cli
 
     settings = ["--method", "sheared", "--set", "tile=64", "--set", "aperture=gaussian", "--set", "bilinear=true"]
     result = CliRunner().invoke(cli, [*arguments, *settings])
@@ -597,9 +597,9 @@ def test_the_deviation_of_noise_is_found_in_a_smooth_image():
     rng = np.random.default_rng(17)
     smooth = np.sin(np.linspace(0, 3, 200))[:, None, None] * np.ones((1, 200, 3))
     noise = rng.normal(0, 0.07, smooth.shape)
-    assert runtime.denoise.noise_deviation(smooth) < 1e-4
-    assert runtime.denoise.noise_deviation(smooth + noise) == pytest.approx(0.07, rel=0.02)
-    assert runtime.denoise.noise_deviation(smooth[:1]) == 0.0
+    assert spreadlets.runtime.finish.denoise.noise_deviation(smooth) < 1e-4
+    assert spreadlets.runtime.finish.denoise.noise_deviation(smooth + noise) == pytest.approx(0.07, rel=0.02)
+    assert spreadlets.runtime.finish.denoise.noise_deviation(smooth[:1]) == 0.0
 
 
 @pytest.mark.parametrize(("method", "package"), [("bm3d", "bm3d"), ("oidn", "pyoidn")])
@@ -631,8 +631,8 @@ def test_denoisers_are_given_the_mean_of_the_samples(monkeypatch):
     assert report["time_s"]["total"] > 0
     np.testing.assert_allclose(reconstruct(given, CAMERA, method="bm3d")[..., :3], 0.25, rtol=1e-6)
     np.testing.assert_allclose(calls["bm3d"][0], np.log1p(mean[..., :3]), rtol=1e-6)
-    deviation = runtime.denoise.noise_deviation(np.log1p(mean[..., :3]))
-    assert calls["bm3d"][1] == pytest.approx(runtime.denoise.OUTLIERS * deviation)
+    deviation = spreadlets.runtime.finish.denoise.noise_deviation(np.log1p(mean[..., :3]))
+    assert calls["bm3d"][1] == pytest.approx(spreadlets.runtime.finish.denoise.OUTLIERS * deviation)
 
 
 def test_filters_are_named_tuples_of_one_value_for_each_layer():

@@ -1,0 +1,1 @@
+"""Build: a database, by workers, resumable and extendable."""

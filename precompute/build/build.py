@@ -1,0 +1,283 @@
+"""Building a database: every cell and direction traced and sparsified by workers, resumable, extendable.
+
+Workers compute (`spreadlets.precompute.build.workers`), this process alone writes: finished cells into a folder (`spreadlets.precompute.build.parts`),
+and in the end all of them into the database, which appears whole.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from spreadlets.errors import BuildStoppedError, InvalidParameterError
+from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
+from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
+from spreadlets.precompute.build.progress import BuildProgress, Progress
+from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
+from spreadlets.precompute.build.workers import AGAIN, open_workers
+from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
+from spreadlets.precompute.models.aperture import Aperture
+from spreadlets.psf.database_file import CellRecord, absent_record, write_database
+from spreadlets.psf.model import PsfGrid, get_model
+
+MAX_SAMPLES = 100_000
+
+SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
+    "simplelens": simplelens.read_settings,
+    "combined": combined.read_settings,
+    "physicallens": physicallens.read_settings,
+    "stylized": stylized.read_settings,
+    "volume": volume.read_settings,
+}
+"""What turns the options of a model into its settings; its keywords are the options that the model has, and if it
+takes any, those of an aperture."""
+
+
+def build_database(
+    model: str,
+    path: str | os.PathLike[str],
+    *,
+    samples: int | None = None,
+    max_coc: float | None = None,
+    max_motion: float | None = None,
+    density: float | None = None,
+    rays: int | None = None,
+    only: Iterable[tuple[int, int]] | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    seed: int = 0,
+    extend: bool = False,
+    progress: Progress | None = None,
+    log: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> None:
+    """Build a database of spreadlets; an interrupted build goes on where it stopped when called again.
+
+    Parameters
+    ----------
+    model : str
+        Name of a PSF model, see `spreadlets.psf.model.MODELS`.
+    path : path-like
+        The database to write. Finished cells wait in the folder ``PATH.parts`` until all are there. Only one process
+        at a time may build a file.
+    samples : int, optional
+        Number of cells to aim at; the default is the model's own.
+    max_coc, max_motion : float, optional
+        Range of the CoC radius and of the motion over the shutter, px; the defaults are the model's own.
+    density : float, optional
+        Operating point: 0.5, 1 (the default) or 2 times the usual number of points (LKS Fig. 10 d).
+    rays : int, optional
+        Ray budget for each PSF; the default is the tracer's own.
+    only : iterable of (int, int), optional
+        The (cell, direction) pairs to build; the others are left out, and reading one of them is an error.
+    jobs : int, optional
+        Number of processes, each of one thread; the default is the number of cores.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute in place of processes of this machine.
+    seed : int
+        Seed of tracing and sparsification. Equal seeds give equal databases for any number of workers.
+    extend : bool
+        Widen the database that is there: what it holds is kept where it is the same in the wider one, see
+        `spreadlets.precompute.build.extension`. What is not given stays as it is.
+    progress : callable, optional
+        Told of each finished cell.
+    log : path, optional
+        A line for each finished cell, with an estimate of what is left, is added to this file; by default to one in
+        the folder of parts, which goes with it.
+    options
+        Those of the model, see `SETTINGS`; None stands for the model's own value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If an argument is out of its range, or the file cannot be written.
+    BuildStoppedError
+        If the build cannot go on: the disk is full, a worker or the cluster is lost, or another process builds the
+        same file. Calling again goes on from the cells that were finished.
+    InvalidDatabaseError
+        If the database to extend cannot be read.
+    """
+    begin = time.perf_counter()
+    target = Path(path)
+    _check_arguments(samples, density, rays, jobs, seed)
+    ranges = {"samples": samples, "max_coc": max_coc, "max_motion": max_motion}
+    grid = build_grid(model, target, extend, **ranges, **options)
+    with ExitStack() as stack:
+        parts = stack.enter_context(open_parts(target, grid))
+        kept = Kept()
+        if extend:
+            kept = stack.enter_context(Kept.of(target, grid, density))
+            density, rays, seed = check_extension(kept, density, rays, seed)
+        density = density or 1.0
+        wanted = _wanted_directions(grid, None if only is None else {*only, *kept.places()})
+        missing = [
+            tuple(number for number in numbers if (cell, number) not in kept) for cell, numbers in enumerate(wanted)
+        ]
+        seed_cell = kept.seed_cells(grid)
+        tasks = [
+            CellTask(grid, cell, numbers, density, rays, seed, int(seed_cell[cell]))
+            for cell, numbers in enumerate(missing)
+        ]
+        shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
+        provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
+        provenance["build_s"] = time.perf_counter() - begin + kept.build_s
+        cells = (_cell(task, parts, kept) for task in tasks)
+        try:
+            write_database(target, grid, cells, provenance, seed_cell if extend else None)
+        except InvalidParameterError as error:
+            raise BuildStoppedError(f"{error}; {AGAIN}") from error
+        shown.ended(target)
+        parts.remove()
+
+
+def _check_arguments(samples: int | None, density: float | None, rays: int | None, jobs: int | None, seed: int) -> None:
+    if samples is not None and not 1 <= samples <= MAX_SAMPLES:
+        raise InvalidParameterError(f"samples is {samples}: allowed are 1 to {MAX_SAMPLES} cells")
+    if density not in (None, 0.5, 1.0, 2.0):
+        raise InvalidParameterError(f"density is {density}: allowed are 0.5, 1 and 2")
+    if rays is not None and rays < 1:
+        raise InvalidParameterError(f"rays is {rays}: at least one is needed")
+    if jobs is not None and jobs < 1:
+        raise InvalidParameterError(f"jobs is {jobs}: at least one process is needed")
+    if seed < 0:
+        raise InvalidParameterError(f"seed is {seed}: it must not be negative")
+
+
+def build_grid(model: str, path: str | os.PathLike[str], extend: bool, **options: Any) -> PsfGrid:
+    """Return the grid that a build with these arguments has; None stands for the model's own, or the database's, value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model has no such option, refuses its value, or cannot be extended so.
+    InvalidDatabaseError
+        If there is no database to extend.
+    """
+    if extend:
+        return extended_grid(path, model, {name: value for name, value in options.items() if value is not None})
+    return model_grid(model, **options)
+
+
+def model_grid(
+    model: str,
+    *,
+    samples: int | None = None,
+    max_coc: float | None = None,
+    max_motion: float | None = None,
+    **options: Any,
+) -> PsfGrid:
+    """Return the grid that a build with these arguments has; None stands for the model's own value."""
+    given = {"max_coc": max_coc, "max_motion": max_motion}
+    ranges = {key: value for key, value in given.items() if value is not None}
+    return PsfGrid.of(get_model(model, **ranges, settings=model_settings(model, options)), samples)
+
+
+def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn the options of a model into its settings; None stands for the model's own value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model has no such option, or refuses its value.
+    """
+    if model not in SETTINGS:
+        # The table of models gives the error.
+        return {}
+    given = {name: value for name, value in options.items() if value is not None}
+    known = _option_names(model)
+    for name in given:
+        if name not in known:
+            raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
+    return SETTINGS[model](**given)
+
+
+def _option_names(model: str) -> list[str]:
+    """Return the names of a model's own options."""
+    parameters = inspect.signature(SETTINGS[model]).parameters.values()
+    names = [each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
+    takes_shape = len(names) < len(parameters)
+    return names + [field.name for field in fields(Aperture)] * takes_shape
+
+
+def takes_option(model: str, name: str) -> bool:
+    """Return whether a model has an option of its own of this name."""
+    return model in SETTINGS and name in _option_names(model)
+
+
+def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:
+    """Return the directions to build for each cell."""
+    if only is None:
+        return [tuple(range(int(count))) for count in grid.pose_counts]
+    wanted: list[set[int]] = [set() for _ in range(grid.n_cells)]
+    for cell, direction in only:
+        wanted[cell].add(direction)
+    return [tuple(sorted(each)) for each in wanted]
+
+
+def _compute_missing(
+    tasks: list[CellTask],
+    parts: Parts,
+    jobs: int | None,
+    scheduler: str | None,
+    log: str | os.PathLike[str],
+    progress: Progress | None,
+) -> BuildProgress:
+    """Compute the cells that have no part yet, storing each as soon as all its directions are there."""
+    tasks = [task for task in tasks if task.directions]
+    missing = {task.cell: task for task in tasks if not parts.has(task)}
+    with open_workers(jobs or os.cpu_count() or 1, scheduler) as (n_workers, compute):
+        units = plan_units(list(missing.values()), n_workers)
+        cost = sum(unit.cost for unit in units)
+        shown = BuildProgress(len(tasks), len(tasks) - len(missing), cost, log, progress)
+        results = compute(units) if units else iter(())
+        for cell, finished in _cells(results, missing, shown):
+            parts.store(missing[cell], [record for each in finished for _, record in sorted(each.records.items())])
+            shown.finished(cell, sum(each.seconds for each in finished))
+    return shown
+
+
+def _cells(
+    results: Iterable[UnitResult], missing: Mapping[int, CellTask], shown: BuildProgress
+) -> Iterator[tuple[int, list[UnitResult]]]:
+    """Yield each cell as soon as all its units are there, its units in the order of their directions."""
+    waiting: dict[int, list[UnitResult]] = defaultdict(list)
+    for result in results:
+        shown.worked(result.cost)
+        units = waiting[result.cell]
+        units.append(result)
+        if sum(len(unit.records) for unit in units) == len(missing[result.cell].directions):
+            yield result.cell, sorted(waiting.pop(result.cell), key=lambda unit: min(unit.records))
+    if waiting:
+        raise BuildStoppedError(f"no results came back for {len(waiting)} cells; run the same command again")
+
+
+def _cell(task: CellTask, parts: Parts, kept: Kept) -> list[CellRecord]:
+    """Return all records of a cell: built, kept, and those that are left out."""
+    built = dict(zip(task.directions, parts.load(task), strict=True)) if task.directions else {}
+    built |= kept.records(task.cell)
+    count = len(task.grid.directions(task.cell))
+    return [built.get(number) or absent_record(task.grid, task.cell, number) for number in range(count)]
+
+
+def _parameters(grid: PsfGrid, density: float, rays: int | None) -> dict[str, Any]:
+    return {
+        "samples": grid.n_cells,
+        "shape": list(grid.shape),
+        "density": density,
+        "rays": rays,
+        "maximum": {axis.name: axis.maximum for axis in grid.model.axes},
+        "power": {axis.name: axis.power for axis in grid.model.axes},
+    }
+
+
+def _versions() -> dict[str, Any]:
+    packages = ("spreadlets", "numpy", "scipy", "numba")
+    return {"algorithm_version": ALGORITHM_VERSION, "versions": {name: version(name) for name in packages}}

@@ -1,0 +1,1 @@
+"""The PSF models: how each draws rays for the light tracer."""

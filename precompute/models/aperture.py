@@ -1,0 +1,243 @@
+"""Shapes of the aperture and of the shutter for the models ``simplelens`` and ``combined``.
+
+A ray through the point (u, v) of the unit lens lands at ``coc (u, v)``, moved by spherical aberration. The lens is
+traced along parallel lines, cut where the aperture ends; the time of each line is drawn from the shutter's curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.errors import InvalidParameterError
+from spreadlets.precompute.trace.line_sample import (
+    Segments,
+    Tracer,
+    lattice_symmetric,
+    point_symmetric,
+    polylines,
+    tent,
+    unchanged,
+)
+from spreadlets.psf.model import PsfModel
+
+FloatArray = npt.NDArray[np.float64]
+
+GENERATORS = (0.5 * (math.sqrt(5.0) - 1.0), math.sqrt(2.0) - 1.0, math.sqrt(3.0) - 1.0, math.sqrt(7.0) - 2.0)
+"""Steps of radius, path length, direction and time from line to line: each evenly spread over neighbouring lines."""
+
+LINE_ANGLE = 0.3
+"""Direction of the lines where nothing moves, radians: parallel lines would beat with the lattice's axes."""
+
+N_NODES = 65
+"""Places along a line at which the aperture is looked at."""
+
+N_TIMES = 4097
+"""Nodes of the shutter's distribution function."""
+
+MAX_SPHERICAL = 0.45
+"""Spherical aberration at which the rim is nearly a caustic; beyond, rays would overtake it."""
+
+MIN_SQUEEZE = 0.25
+MAX_BLADES = 64
+
+
+@dataclass(frozen=True)
+class Aperture:
+    """The shape of an aperture behind focus, in units of the lens's radius, and what the lens does to it.
+
+    Parameters
+    ----------
+    blades : int
+        Number of straight or curved edges; 0 is a round aperture.
+    blade_curvature : float
+        From 0, straight edges, to 1, a circle.
+    rotation : float
+        Of the blades, degrees, from x to y (y down); at 0 a corner points along x.
+    cats_eye : float
+        Distance of a second circle of the lens's radius, which clips the first, from its centre, radii; below 2.
+    cats_eye_angle : float
+        Direction of that circle, degrees, from x to y (y down).
+    squeeze : float
+        Width over height of an anamorphic lens's PSF.
+    spherical_aberration : float
+        Above 0 (undercorrected), the rim is dark behind focus and bright in front of it.
+    obstruction : float
+        Radius of a central obstruction, as that of a mirror lens.
+    """
+
+    blades: int = 0
+    blade_curvature: float = 0.0
+    rotation: float = 0.0
+    cats_eye: float = 0.0
+    cats_eye_angle: float = 0.0
+    squeeze: float = 1.0
+    spherical_aberration: float = 0.0
+    obstruction: float = 0.0
+
+    def __post_init__(self) -> None:
+        allowed = {
+            "blades": (self.blades == 0 or 3 <= self.blades <= MAX_BLADES, f"0 or 3 to {MAX_BLADES}"),
+            "blade_curvature": (0.0 <= self.blade_curvature <= 1.0, "0 to 1"),
+            "rotation": (math.isfinite(self.rotation), "finite degrees"),
+            "cats_eye": (0.0 <= self.cats_eye < 2.0, "0 to below 2 radii, where no light is left"),
+            "cats_eye_angle": (math.isfinite(self.cats_eye_angle), "finite degrees"),
+            "squeeze": (MIN_SQUEEZE <= self.squeeze <= 1.0, f"{MIN_SQUEEZE} to 1"),
+            "spherical_aberration": (
+                abs(self.spherical_aberration) <= MAX_SPHERICAL,
+                f"up to {MAX_SPHERICAL} either way",
+            ),
+            "obstruction": (0.0 <= self.obstruction < 1.0, "0 to below 1"),
+        }
+        for name, (is_good, text) in allowed.items():
+            if not is_good:
+                raise InvalidParameterError(f"{name} is {getattr(self, name)}: allowed are {text}")
+        u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
+        if not (self.clearance(u, v) > 0.0).any():
+            raise InvalidParameterError(f"the aperture lets no light through: {self}")
+
+    @property
+    def is_round(self) -> bool:
+        """Whether every turn and mirror image of the aperture is the aperture."""
+        return (not self.blades or self.blade_curvature == 1.0) and not self.cats_eye and self.squeeze == 1.0
+
+    @property
+    def is_point_symmetric(self) -> bool:
+        """Whether half a turn leaves the aperture as it is."""
+        return self.is_round or (not self.cats_eye and self.blades % 2 == 0)
+
+    def clearance(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return a function of places on the lens that is above 0 where light passes and 0 at the aperture's edge."""
+        radius = np.hypot(u, v)
+        room = 1.0 - radius**2
+        if self.blades:
+            room = np.minimum(room, 1.0 - radius / self._edge(np.arctan2(v, u)))
+        if self.cats_eye:
+            angle = math.radians(self.cats_eye_angle)
+            x, y = u - self.cats_eye * math.cos(angle), v - self.cats_eye * math.sin(angle)
+            room = np.minimum(room, 1.0 - x**2 - y**2)
+        if self.obstruction:
+            room = np.minimum(room, radius**2 - self.obstruction**2)
+        return np.asarray(room)
+
+    def _edge(self, angle: FloatArray) -> FloatArray:
+        """Return the radius of the blades' edge in a direction."""
+        sector = 2.0 * math.pi / self.blades
+        from_middle = np.mod(angle - math.radians(self.rotation), sector) - 0.5 * sector
+        straight = math.cos(0.5 * sector) / np.cos(from_middle)
+        return np.asarray((1.0 - self.blade_curvature) * straight + self.blade_curvature)
+
+    def image(self, u: FloatArray, v: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
+        """Return where rays through places on the lens land, in units of the CoC radius."""
+        stretch = side * (1.0 + side * self.spherical_aberration * (u**2 + v**2 - 1.0))
+        return self.squeeze * stretch * u, stretch * v
+
+
+def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of an aperture and a shutter; none for a round, even one.
+
+    Parameters
+    ----------
+    shutter_curve : sequence of floats or str, optional
+        How far the shutter is open, at equally spaced times from opening to closing, linear between them; or
+        ``"trapezoid:RISE,FALL"`` with the shares of the time in which it opens and closes.
+    shape : mapping
+        Arguments of `Aperture`.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is out of its range, or nothing lets light through.
+    """
+    aperture = Aperture(**shape)
+    curve = None if shutter_curve is None else _read_curve(shutter_curve)
+    if aperture == Aperture() and curve is None:
+        return {}
+    sign = "stored" if aperture.spherical_aberration else "ignored" if aperture.is_point_symmetric else "turned"
+    arrow = curve is not None and curve != curve[::-1]
+    symmetry = {"arrow": arrow, "lattice": aperture.is_round, "sign": sign}
+    return {"aperture": asdict(aperture), "shutter_curve": curve, "symmetry": symmetry}
+
+
+def _read_curve(given: Sequence[float] | str) -> list[float]:
+    """Return a shutter's curve as its openness at equally spaced times."""
+    if isinstance(given, str):
+        kind, _, rest = given.rpartition(":")
+        try:
+            numbers = [float(word) for word in rest.split(",")]
+        except ValueError:
+            raise InvalidParameterError(f"shutter_curve is {given!r}: needed are numbers separated by commas") from None
+        if kind == "trapezoid" and len(numbers) == 2:
+            return _trapezoid(*numbers)
+        if kind:
+            raise InvalidParameterError(f"shutter_curve is {given!r}: allowed are trapezoid:RISE,FALL and samples")
+        given = numbers
+    curve = [float(value) for value in given]
+    good = len(curve) >= 2 and all(math.isfinite(value) and value >= 0.0 for value in curve)
+    if not good or max(curve) == 0.0:
+        raise InvalidParameterError(f"shutter_curve is {curve}: two or more numbers from 0 up are needed, not all 0")
+    return curve
+
+
+def _trapezoid(rise: float, fall: float) -> list[float]:
+    """Return the samples of a shutter that opens and closes evenly."""
+    if not (rise >= 0.0 and fall >= 0.0 and rise + fall <= 1.0):
+        raise InvalidParameterError(f"a trapezoid of rise {rise} and fall {fall}: shares from 0 up, together at most 1")
+    time = np.linspace(0.0, 1.0, N_TIMES // 64 + 1)
+    opening = np.minimum(time / rise, 1.0) if rise else np.ones_like(time)
+    closing = np.minimum((1.0 - time) / fall, 1.0) if fall else np.ones_like(time)
+    return [float(value) for value in np.minimum(opening, closing)]
+
+
+def shutter_times(u: FloatArray, curve: Sequence[float] | None) -> FloatArray:
+    """Map uniform numbers to times in [-1/2, 1/2], as often as the shutter is open; the middle is mid-shutter."""
+    if curve is None:
+        return u - 0.5
+    time = np.linspace(0.0, 1.0, N_TIMES)
+    openness = np.interp(time, np.linspace(0.0, 1.0, len(curve)), curve)
+    share = np.concatenate([[0.0], np.cumsum(0.5 * (openness[1:] + openness[:-1]))])
+    return np.asarray(np.interp(u, share / share[-1], time) - 0.5)
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces a model with an aperture of its own behind (1) or in front (-1) of the focus."""
+    aperture = Aperture(**model.settings["aperture"])
+    curve = model.settings["shutter_curve"]
+    moves = model.has_direction
+
+    def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
+        line_angle = direction if moves else LINE_ANGLE
+        along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * points[:, :1] - 1.0
+        u = along * math.cos(line_angle) - across * math.sin(line_angle)
+        v = along * math.sin(line_angle) + across * math.cos(line_angle)
+        radius = tent(points[:, 1:2], *box[0])
+        x, y = (radius * part for part in aperture.image(u, v, side))
+        if moves:
+            angle = tent(points[:, 3:4], direction - direction_half_width, direction + direction_half_width)
+            way = tent(points[:, 2:3], *box[1]) * shutter_times(points[:, 4:5], curve)
+            x, y = x + way * np.cos(angle), y + way * np.sin(angle)
+        return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(u, v))
+
+    n_dimensions = 5 if moves else 2
+    return Tracer(
+        n_dimensions,
+        trace,
+        lambda box: float(box[0, 1] + (0.5 * box[1, 1] if moves else 0.0)),
+        _symmetriser(model),
+        segments_per_point=N_NODES,
+        generators=GENERATORS[: n_dimensions - 1],
+    )
+
+
+def _symmetriser(model: PsfModel) -> Any:
+    """Return the average over the symmetries that aperture and shutter leave."""
+    symmetry = model.symmetry
+    if symmetry.lattice and not model.has_direction:
+        return lattice_symmetric
+    even = Aperture(**model.settings["aperture"]).is_point_symmetric and not symmetry.arrow
+    return point_symmetric if even else unchanged

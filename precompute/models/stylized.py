@@ -1,0 +1,182 @@
+"""The ``stylized`` model: any image as the PSF, as large as the circle of confusion (LKS section 5.1).
+
+The image is traced along parallel lines, between whose samples it is linear, so that no pixel of the image shows as a
+square in the PSF.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import matplotlib.image
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import map_coordinates
+from skimage.transform import resize
+
+from spreadlets.errors import InvalidFileError, InvalidParameterError
+from spreadlets.precompute.trace.line_sample import Segments, Tracer, polylines, tent, unchanged
+from spreadlets.psf.model import PsfModel
+
+FloatArray = npt.NDArray[np.float64]
+
+N_DIMENSIONS = 2
+"""Place of the line, circle of confusion."""
+
+LINE_ANGLE = 0.3
+"""Direction of all lines, radians: far from the lattice's axes and diagonals, to which parallel lines would beat."""
+
+RAYS_PER_PIXEL = 256
+"""Point-equivalent deposits: parallel lines are spread so evenly that few of them draw a smooth image."""
+
+SAMPLES_PER_PIXEL = 2
+"""Samples along a line for each pixel of the image: an oblique line's light is not quite linear between pixels."""
+
+MAX_SIDE = 160
+"""Images are reduced to so many pixels: more than a PSF can show, and small enough to go with the database."""
+
+MAX_FILE_SIDE = 8192
+"""Most pixels in a row or column of an image that is read: 800 MB as it is unpacked."""
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+MAX_COLOUR_OFFSET = 0.5
+"""Largest sideways offset of red and blue, as a share of the PSF's radius."""
+
+
+def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> dict[str, Any]:
+    """Return the settings of a model whose PSF is an image.
+
+    Parameters
+    ----------
+    image : str
+        A PNG file. Colours are taken as sRGB; where there is alpha it multiplies them.
+    colour_offset : float
+        Shift of red to the right and of blue to the left, as a share of the PSF's radius: lateral colour.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the image or its light is missing, or the offset is out of range.
+    InvalidFileError
+        If the file cannot be read.
+    """
+    if image is None:
+        raise InvalidParameterError("the model 'stylized' needs an image as its PSF: give one with --image")
+    if not abs(colour_offset) <= MAX_COLOUR_OFFSET:
+        raise InvalidParameterError(
+            f"colour_offset is {colour_offset}: allowed are -{MAX_COLOUR_OFFSET} to {MAX_COLOUR_OFFSET} of the radius"
+        )
+    return {"image": encode(_read_light(image)), "colour_offset": float(colour_offset)}
+
+
+def _read_light(path: str) -> FloatArray:
+    """Read a PNG as linear light (h, w, 3), reduced to at most `MAX_SIDE`."""
+    try:
+        with open(path, "rb") as file:
+            _check_png(path, file)
+            pixels = np.asarray(matplotlib.image.imread(file, format="png"), np.float64)
+    except InvalidFileError:
+        raise
+    except (OSError, ValueError, SyntaxError) as error:
+        raise InvalidFileError(f"{path}: not a readable PNG file: {error}") from error
+    pixels = pixels if pixels.ndim == 3 else pixels[..., None]
+    n_colours = 3 if pixels.shape[2] >= 3 else 1
+    light = np.broadcast_to(_linear(pixels[..., :n_colours]), (*pixels.shape[:2], 3))
+    if pixels.shape[2] in (2, 4):
+        light = light * pixels[..., -1:]
+    if not light.max() > 0.0:
+        raise InvalidParameterError(f"{path}: the image holds no light: it is black or transparent everywhere")
+    shrink = MAX_SIDE / max(light.shape[:2])
+    if shrink < 1.0:
+        size = [max(1, round(shrink * side)) for side in light.shape[:2]]
+        light = np.maximum(_resized(light, size), 0.0)
+    return np.asarray(light / light.max(), np.float64)
+
+
+def _check_png(path: str, file: BinaryIO) -> None:
+    """Refuse a file that is no PNG, or too large an image, before any pixel of it is unpacked."""
+    start = file.read(24)
+    file.seek(0)
+    if len(start) < 24 or not start.startswith(PNG_SIGNATURE):
+        raise InvalidFileError(f"{path}: not a readable PNG file")
+    width, height = struct.unpack(">II", start[16:])
+    if not 0 < max(width, height) <= MAX_FILE_SIDE:
+        raise InvalidFileError(f"{path}: has {width} x {height} px; at most {MAX_FILE_SIDE} x {MAX_FILE_SIDE} are read")
+
+
+def _resized(light: FloatArray, size: list[int]) -> FloatArray:
+    resized: FloatArray = resize(light, (*size, 3), order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
+    return resized
+
+
+def _linear(display: FloatArray) -> FloatArray:
+    """Turn sRGB values in [0, 1] into linear light."""
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+
+
+def encode(light: FloatArray) -> dict[str, Any]:
+    """Turn linear light (h, w, 3) in [0, 1] into JSON values, at 16 bits."""
+    data = np.rint(65535.0 * light).astype("<u2").tobytes()
+    return {"shape": list(light.shape), "u16": base64.b64encode(zlib.compress(data, 9)).decode()}
+
+
+def decode(stored: Mapping[str, Any]) -> FloatArray:
+    """Return the light (h, w, 3) that `encode` stored."""
+    size = math.prod(stored["shape"]) * 2
+    if not 0 < size <= 2 * MAX_SIDE * MAX_SIDE * 3:
+        raise InvalidParameterError(
+            f"the image of the PSF has the shape {stored['shape']}; its sides end at {MAX_SIDE}"
+        )
+    data = zlib.decompressobj().decompress(base64.b64decode(stored["u16"]), size)
+    return np.frombuffer(data, "<u2").reshape(stored["shape"]) / 65535.0
+
+
+def tracer(model: PsfModel, side: int) -> Tracer:
+    """Return what traces a model with these settings; the image is upright on both sides of the focus."""
+    light = decode(model.settings["image"])
+    offset = float(model.settings["colour_offset"]) * np.array([1.0, 0.0, -1.0])
+    # Half the image's diagonal, px, and room for the offsets and the last pixel's fading.
+    half = 0.5 * float(np.hypot(*light.shape[:2])) + 0.5 * max(light.shape[:2]) * float(np.abs(offset).max()) + 1.0
+    along = np.linspace(-half, half, SAMPLES_PER_PIXEL * int(np.ceil(2.0 * half)) + 1)[None, :]
+
+    def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
+        across = half * (2.0 * points[:, :1] - 1.0)
+        x = along * np.cos(LINE_ANGLE) - across * np.sin(LINE_ANGLE)
+        y = along * np.sin(LINE_ANGLE) + across * np.cos(LINE_ANGLE)
+        scale = tent(points[:, 1:2], *box[0]) / (0.5 * max(light.shape[:2]))
+        return polylines(scale * x, scale * y, _light_at(light, x, y, offset))
+
+    return Tracer(
+        N_DIMENSIONS,
+        trace,
+        lambda box: reach(box, light, offset),
+        unchanged,
+        segments_per_point=along.size,
+        rays_per_pixel=RAYS_PER_PIXEL,
+    )
+
+
+def _light_at(light: FloatArray, x: FloatArray, y: FloatArray, offset: FloatArray) -> FloatArray:
+    """Look up an image at places (n, K) in its pixels from its centre, each channel moved by an offset; (n, K, 3)."""
+    height, width = light.shape[:2]
+    radius = 0.5 * max(height, width)
+    row = y + 0.5 * (height - 1)
+    planes = [
+        map_coordinates(
+            light[..., channel], [row, x - radius * move + 0.5 * (width - 1)], order=1, mode="grid-constant"
+        )
+        for channel, move in enumerate(offset)
+    ]
+    return np.stack(planes, axis=-1)
+
+
+def reach(box: FloatArray, light: FloatArray, offset: FloatArray) -> float:
+    """Return the largest distance in x or y from the centre that light can have, px."""
+    n_pixels = max(light.shape[:2])
+    return float(box[0, 1] * ((n_pixels + 2.0) / n_pixels + np.abs(offset).max()))

@@ -1,0 +1,1 @@
+"""Sparsify: from a dense PSF to its spreadlet."""

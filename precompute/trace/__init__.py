@@ -1,0 +1,1 @@
+"""Trace: dense, pre-filtered PSFs by light tracing."""

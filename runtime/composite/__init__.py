@@ -1,0 +1,1 @@
+"""Composite: layers normalised, filled where they were hidden, and put behind each other."""

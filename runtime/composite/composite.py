@@ -1,0 +1,76 @@
+"""Compositing: each layer is normalised, filled where it was hidden, and put behind the nearer ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.runtime.composite import _fill_kernels
+from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST
+
+Image = npt.NDArray[np.float32]
+
+LEAST_SEEN = 0.3
+"""Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
+MIN_SUM = 1e-9
+"""Where not even the coarsest level has seen more than this, a layer is empty."""
+
+NOTHING = np.zeros((0, 0), np.float32)
+
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "NOTHING", "add_layer", "is_opaque"]
+
+
+def add_layer(
+    image: Image, padded: Image, origin: tuple[int, int], kind: int, *, seen: Image = NOTHING, least: float = LEAST_SEEN
+) -> None:
+    """Normalise a layer and put it behind an image, in place.
+
+    The sums of a layer's splats are divided by what they would be if the layer were everywhere. That measure is, by
+    ``kind``:
+
+    - `COVERAGE`: the share of the layer that was not hidden, ``seen``, blurred as the layer is; by default 1, where
+      nothing was hidden. Where a nearer layer hid part of it, the rest stands for the whole (Lee et al. 2008).
+    - `COUNT`: for stochastic samples, the layer's own weight and the number ``seen`` that passed it: a sample that
+      passes a layer is a hole in it (SLR section 5).
+    - `LAST`: the layer's own weight; behind an opaque last layer there is nothing.
+
+    Where the measure is small, little is known; it is filled from the surroundings, level by level of a pyramid.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied colour and alpha of the nearer layers.
+    padded : ndarray of shape (rows, cols, 4), float32
+        Sums of the layer's splats.
+    origin : tuple of two ints
+        Row and column, in the image, of the canvas's first pixel.
+    kind : int
+    seen : ndarray of shape (H, W), float32
+    least : float
+        Measure from which a pixel stands for itself.
+    """
+    bound = np.float32(least)
+    if not _fill_kernels.count_unseen(padded, *origin, seen, kind, bound, image.shape[:2]):
+        _fill_kernels.add_layer(image, padded, *origin, seen, kind)
+        return
+    levels = [_half_size(image)]
+    _fill_kernels.pull_sums(padded, *origin, seen, kind, image.shape[:2], levels[0])
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_half_size(levels[-1]))
+        _fill_kernels.pull(levels[-2], levels[-1])
+    top = levels[-1]
+    top /= np.maximum(top[..., 4:], MIN_SUM)
+    for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        _fill_kernels.push(fine, coarse, bound)
+    _fill_kernels.add_filled(image, padded, *origin, seen, kind, levels[0], bound)
+
+
+def _half_size(image: Image) -> Image:
+    """Return room for sums and their measure over 2 x 2 pixels of an image."""
+    height, width = image.shape[:2]
+    return np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32)
+
+
+def is_opaque(radiance: Image) -> bool:
+    """Return whether every pixel (..., 4) is opaque."""
+    return bool((radiance[..., 3] == 1.0).all())

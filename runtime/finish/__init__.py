@@ -1,0 +1,1 @@
+"""Finish: what is done to a reconstruction's image."""

@@ -1,0 +1,108 @@
+"""Calibration: what is reconstructed from samples must, seen from afar, be what the samples say.
+
+Splatting makes a smooth image, but a biased one: light from beyond the border is a guess, hidden surfaces are filled,
+PSFs are those of cells. The mean of a pixel's samples is noisy, but right. So the image is multiplied by a slowly
+varying gain that brings its local means to those of the samples: at each scale, coarse to fine, the gain of least
+squares under a Gaussian window, with each pixel weighted by the inverse of its squared brightness, as noise grows with
+it. Where a gain is no larger than its own standard error it is drawn towards one (James and Stein 1961), so that noise
+does not enter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from spreadlets.runtime.finish import _calibration_kernels
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
+
+Image = npt.NDArray[np.float32]
+
+SCALES = (16.0, 8.0, 4.0)
+"""Standard deviations of the windows, px."""
+BLOCK = 4
+"""Side of the blocks, px, that stand for their pixels: windows of the finest scale are one block wide."""
+CAUTION = 2.0
+"""By how many times its variance the square of a gain, less one, must exceed noise to be believed at all."""
+SURROUNDINGS = 4.0
+"""Gains and their variances are compared over windows so many times wider: where few samples carry the light, as under
+the bokeh of a small lamp, a window may hold none of them, and would look certain of being too bright."""
+LARGEST_GAIN = 4.0
+FLOOR = 0.5
+"""Brightness, in medians of the image, below which noise does not get less."""
+LEAST_WINDOWS = 4.0
+"""A scale is left out where the image has fewer standard deviations across."""
+
+LENS_SPREAD = 0.25, 1.0
+"""Mean squared distance from the lens's centre of samples that are spread over it; a disc has 1/2, a square 2/3."""
+LENS_OFFSET = 0.1
+TIME_SPREAD = 0.5, 1.5
+"""Variance of times in that of an open shutter."""
+TIME_OFFSET = 0.1
+"""Largest distance of the mean place from the lens's centre, in radii, and of the mean time, in durations."""
+
+
+def takes_whole_lens(samples: SampleBuffer, camera: ThinLens) -> bool:
+    """Tell whether the samples are spread over lens and shutter, so that their mean is the blurred image."""
+    valid = samples.valid
+    if not valid.any():
+        return False
+    places = samples.lens_uv[valid].astype(np.float64)
+    spread = float((places**2).sum(axis=1).mean())
+    fits = LENS_SPREAD[0] <= spread <= LENS_SPREAD[1] and bool((np.abs(places.mean(axis=0)) <= LENS_OFFSET).all())
+    if not fits or not camera.shutter_duration or not samples.motion.any():
+        return fits
+    time = (samples.time[valid].astype(np.float64) - camera.shutter_centre) / camera.shutter_duration
+    variance = 12.0 * float(time.var())
+    return abs(float(time.mean())) <= TIME_OFFSET and TIME_SPREAD[0] <= variance <= TIME_SPREAD[1]
+
+
+def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.bool_]) -> None:
+    """Bring the local means of an image to those of its samples, in place.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W, 4), float32
+        Premultiplied; alpha stays as it is.
+    radiance : sequence of ndarray of shape (H, W, 4), float32
+        One sample of each pixel each.
+    valid : ndarray of shape (H, W, S), bool
+        Which samples there are.
+    """
+    total, count = np.zeros_like(image), np.zeros(image.shape[:2], np.float32)
+    for number, sample in enumerate(radiance):
+        _calibration_kernels.add_samples(sample, valid[:, :, number], total, count)
+    bright = image[::BLOCK, ::BLOCK, :3].mean(axis=2)
+    if not (bright > 0).any():
+        return
+    floor = FLOOR * float(np.median(bright[bright > 0]))
+    rows, cols = (-(-size // BLOCK) for size in image.shape[:2])
+    sums = np.empty((3, rows, cols, 3), np.float64)
+    for scale in SCALES:
+        if LEAST_WINDOWS * scale <= min(image.shape[:2]):
+            _calibration_kernels.block_sums(image, total, count, floor, BLOCK, sums)
+            _calibration_kernels.apply_gain(image, _gain(sums, scale), BLOCK)
+
+
+def _gain(sums: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
+    """Return the gain of each block, (rows, cols, 3)."""
+    part, square, noise = sums
+    width = scale / BLOCK
+    below = _blurred(square, width)
+    tiny = 1e-12 * max(float(below.max()), np.finfo(np.float64).tiny)
+    change = _blurred(part, width) / (below + tiny)
+    # The square of a Gaussian window is one that is narrower by the square root of 2.
+    variance = _blurred(noise, width / np.sqrt(2)) / (below + tiny) ** 2 / (4 * np.pi * width**2)
+    wide = SURROUNDINGS * width
+    power = _blurred(change**2, wide)
+    believed = 1.0 - CAUTION * _blurred(variance, wide) / np.where(power > 0, power, np.inf)
+    gain = 1.0 + np.where(power > 0, np.clip(believed, 0.0, 1.0), 0.0) * change
+    return np.clip(gain, 1.0 / LARGEST_GAIN, LARGEST_GAIN)
+
+
+def _blurred(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:
+    return np.asarray(ndimage.gaussian_filter(planes, (width, width, 0), mode="reflect", truncate=3.0))

@@ -1,0 +1,1 @@
+"""Integrate: from a Laplacian image to the image."""

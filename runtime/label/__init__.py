@@ -1,0 +1,1 @@
+"""Label: what the PSF of each pixel depends on."""

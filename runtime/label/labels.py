@@ -1,0 +1,199 @@
+"""How the coordinates of every PSF model follow from a pixel's labels: one entry for each axis and each direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.errors import InvalidParameterError
+from spreadlets.psf.model import Angle, PsfModel
+from spreadlets.scene.camera import ThinLens
+
+FloatArray = npt.NDArray[np.float32]
+
+BLOCKS = (1, 2, 4)
+"""Sides, px, of blocks of pixels for which a lens may be the same: those that the level of detail can draw as one."""
+LEAST_BLOCKS = 64
+"""How many of them there are across the image at least; else they are smaller."""
+
+
+class View(NamedTuple):
+    """What the place of a pixel in the image stands for.
+
+    Attributes
+    ----------
+    depth : ndarray of shape (H, W), float32
+        Planar depth, metres.
+    focal_length_px : float
+        Focal length in pixels: a pixel at this distance from the image's centre is seen at 45 degrees.
+    sensor_mm_per_px : float
+        Size of a pixel on the sensor.
+    """
+
+    depth: FloatArray
+    focal_length_px: float
+    sensor_mm_per_px: float
+
+    def position(self) -> FloatArray:
+        """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""
+        height, width = self.depth.shape
+        x, y = np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1)
+        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+
+    def block_position(self) -> FloatArray:
+        """Return the place (x, y), from the image's centre, of the middle of the block that each pixel is in, px.
+
+        A lens changes from one side of the image to the other. Neighbours that share their PSF are drawn as one.
+        """
+        height, width = self.depth.shape
+        block = max(size for size in BLOCKS if size * LEAST_BLOCKS <= max(height, width) or size == 1)
+        middle = [np.arange(size) // block * block + 0.5 * (block - 1) for size in (width, height)]
+        x, y = middle[0] - 0.5 * (width - 1), middle[1] - 0.5 * (height - 1)
+        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+
+    def image_height(self) -> FloatArray:
+        """Return the distance of each pixel from the image's centre, px, shape (H, W)."""
+        place = self.position()
+        return np.hypot(place[..., 0], place[..., 1])
+
+
+class Labels(NamedTuple):
+    """What the PSF of each pixel depends on.
+
+    Attributes
+    ----------
+    coc : ndarray of shape (H, W), float32
+        Signed radius of the circle of confusion, px.
+    path : ndarray of shape (H, W, 2), float32
+        Motion (dx, dy) over the shutter, px.
+    length : ndarray of shape (H, W), float32
+        Length of the path, px.
+    shift : ndarray of shape (H, W, 2), float32, or None
+        From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
+    view : View
+        The pixels' places in space.
+    """
+
+    coc: FloatArray
+    path: FloatArray
+    length: FloatArray
+    shift: FloatArray | None
+    view: View
+
+
+def _radius(labels: Labels) -> FloatArray:
+    return labels.coc
+
+
+def _path_length(labels: Labels) -> FloatArray:
+    return labels.length
+
+
+def _distance(labels: Labels) -> FloatArray:
+    """Distance along the ray: planar depth, lengthened towards the image's borders."""
+    slope = labels.view.image_height() / np.float32(labels.view.focal_length_px)
+    return np.asarray(labels.view.depth * np.hypot(np.float32(1.0), slope), np.float32)
+
+
+def _sensor_height(labels: Labels) -> FloatArray:
+    place = labels.view.block_position()
+    return np.hypot(place[..., 0], place[..., 1]) * np.float32(labels.view.sensor_mm_per_px)
+
+
+COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
+    "coc": _radius,
+    "motion": _path_length,
+    "depth": _radius,
+    "distance": _distance,
+    "eccentricity": _sensor_height,
+}
+"""The coordinate (H, W) on each axis, by its name, in the axis's unit; its sign has no meaning."""
+
+DIRECTIONS: dict[Angle, Callable[[Labels], FloatArray]] = {
+    "motion": lambda labels: labels.path,
+    "azimuth": lambda labels: labels.view.block_position(),
+}
+"""The vector (dx, dy) that gives a pixel's direction, shape (H, W, 2)."""
+
+EFFECTS: dict[str, tuple[Callable[[Labels], FloatArray], tuple[str, ...]]] = {
+    "coc": (_radius, ("coc", "depth")),
+    "motion": (_path_length, ("motion",)),
+}
+"""What a frame may ask for: its extent in px, and the axes of which one must be there to do it."""
+
+
+EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
+"""How much of a coordinate adds to the extent of the PSF, for models whose PSFs have no other extent."""
+
+
+def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:
+    """Return the coordinates (H, W) of each pixel on the axes of a model's parameter space; signs have no meaning."""
+    return tuple(COORDINATES[axis.name](labels) for axis in model.axes)
+
+
+def illumination(model: PsfModel, shape: tuple[int, int], mm_per_px: float) -> FloatArray:
+    """Return how bright a lens leaves each pixel, relative to the image's middle.
+
+    Parameters
+    ----------
+    model : PsfModel
+    shape : tuple of int
+        Of the image (H, W).
+    mm_per_px : float
+        Size of a pixel on the sensor.
+
+    Returns
+    -------
+    ndarray of shape (H, W), float32
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model is not that of a real lens.
+    """
+    shares = model.settings.get("illumination")
+    if shares is None:
+        raise InvalidParameterError(
+            f"the database of the model {model.name!r} knows no vignetting; build one of 'physicallens'"
+        )
+    view = View(np.zeros(shape, np.float32), 1.0, mm_per_px)
+    known = np.linspace(0.0, model.settings["max_eccentricity_mm"], len(shares))
+    return np.asarray(np.interp(view.image_height() * mm_per_px, known, shares), np.float32)
+
+
+def ignored_effects(labels: Labels, model: PsfModel) -> list[tuple[str, float]]:
+    """Return the effects that a model cannot show, each with the share of the pixels that asks for it."""
+    axes = {axis.name for axis in model.axes}
+    found = []
+    for name, (extent, shown_by) in sorted(EFFECTS.items()):
+        share = 0.0 if axes & set(shown_by) else np.count_nonzero(extent(labels)) / labels.coc.size
+        if share > 0:
+            found.append((name, share))
+    return found
+
+
+VIEW_TOLERANCE = 0.02
+"""Relative difference of a camera and the one that a database was built for that is not worth a word."""
+
+VIEW: dict[str, Callable[[ThinLens, int], float]] = {
+    "focal_length_mm": lambda camera, width: camera.focal_length_mm,
+    "sensor_width_mm": lambda camera, width: camera.sensor_width_mm,
+    "f_number": lambda camera, width: camera.f_number,
+    "focus_per_m": lambda camera, width: 1.0 / camera.focus_distance_m,
+    "width_px": lambda camera, width: float(width),
+    "focal_length_px": lambda camera, width: camera.focal_length_mm / camera.sensor_width_mm * width,
+}
+"""What the PSFs of some models depend on beside the labels, for a camera and an image's width in px."""
+
+
+def view_differences(model: PsfModel, camera: ThinLens, width: int) -> list[str]:
+    """Say in what a camera differs from the one that a model's PSFs were made for."""
+    found = []
+    for name, built in model.settings.get("view", {}).items():
+        given = VIEW[name](camera, width)
+        if abs(given - built) > VIEW_TOLERANCE * max(abs(given), abs(built)):
+            found.append(f"{name} is {given:.4g}, built for {built:.4g}")
+    return found

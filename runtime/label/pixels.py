@@ -1,0 +1,142 @@
+"""Labelled pixels: what a frame or a buffer of samples gives to draw, as passes of one label for each pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.runtime.composite.composite import NOTHING
+from spreadlets.runtime.label.depth_edges import split_depth_edges
+from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.plan import _plan_kernels
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Layer
+from spreadlets.scene.samples import SampleBuffer
+
+Image = npt.NDArray[np.float32]
+
+CHORD_TOLERANCE = 0.5
+"""Largest distance, px, of a curved path from the straight lines that it is drawn by."""
+MOST_SEGMENTS = 4
+"""Straight lines of a path at most; their distance falls with the square of their number."""
+
+
+class Pixels(NamedTuple):
+    """One label for each pixel.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+        Premultiplied colour, C-contiguous.
+    labels : Labels
+    weight : ndarray of shape (H, W) or (0, 0), float32
+        Share of the pixel that is drawn by this label; empty if it is the whole.
+    """
+
+    radiance: Image
+    labels: Labels
+    weight: Image = NOTHING
+
+
+def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
+    """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
+
+    Pixels whose depth is a blend of two surfaces are divided between them, see `spreadlets.runtime.label.depth_edges`. Paths that are
+    curved (the motion before the frame's time differs from that after it) become chords of the curve through the three
+    positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn
+    once for each chord they would be ghosts.
+    """
+    passes = []
+    for surface, share in split_depth_edges(layer, camera):
+        straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
+        for labels, weight in _along_paths(surface, camera, straight, motion and curved):
+            weights = [each for each in (share, weight) if each is not None]
+            passes.append(Pixels(layer.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
+    return passes
+
+
+def _along_paths(
+    layer: Layer, camera: ThinLens, straight: Labels, motion: bool
+) -> Iterator[tuple[Labels, Image | None]]:
+    """Yield the labels of straight paths and of the chords of curved ones, with the share of each pixel."""
+    if not motion or layer.motion_prev is None or layer.motion_next is None or not camera.shutter_duration:
+        yield straight, None
+        return
+    segments = np.empty(layer.shape, np.int32)
+    _plan_kernels.count_segments(
+        layer.motion_prev, layer.motion_next, camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS, segments
+    )
+    largest = int(segments.max())
+    if largest == 1:
+        yield straight, None
+        return
+    yield straight, (segments == 1).astype(np.float32)
+    for count in (2**power for power in range(1, largest.bit_length())):
+        weight = np.where(segments == count, np.float32(1 / count), np.float32(0))
+        if weight.any():
+            for chord in _chords(layer, camera, straight, count):
+                yield chord, weight
+
+
+def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
+    height, width = layer.shape
+    coc, length = np.zeros((2, height, width), np.float32)
+    view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    if defocus:
+        _plan_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+    if not motion or not layer.has_motion:
+        return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None, view)
+    shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
+    path = layer.motion * np.float32(camera.shutter_duration)
+    _plan_kernels.path_lengths(path, length)
+    return Labels(coc, path, length, shift, view)
+
+
+def _chords(layer: Layer, camera: ThinLens, straight: Labels, count: int) -> Iterator[Labels]:
+    """Yield the labels of the chords between equal steps of the shutter's time."""
+    places = np.empty((count + 1, *layer.motion.shape), np.float32)
+    for time, place in zip(np.linspace(*camera.shutter, count + 1), places, strict=True):
+        _plan_kernels.path_places(layer.motion_prev, layer.motion_next, time, place)
+    for begin, end in zip(places[:-1], places[1:], strict=True):
+        path = end - begin
+        length = np.empty(layer.shape, np.float32)
+        _plan_kernels.path_lengths(path, length)
+        yield straight._replace(path=path, length=length, shift=np.float32(0.5) * (begin + end))
+
+
+def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
+    """Turn samples into labels, one pass for each sample of a pixel.
+
+    Splats are centred where the sample would lie without lens, at mid-shutter (LKS section 6.2, "Stochastic
+    frame-buffers"); an effect that is off has parameter 0 and is so undone.
+    """
+    passes = []
+    for number in range(samples.n_samples):
+        labels = _sample_labels(samples, camera, number)
+        if not defocus:
+            labels = labels._replace(coc=np.zeros_like(labels.coc))
+        if not motion:
+            labels = labels._replace(path=np.zeros_like(labels.path), length=np.zeros_like(labels.length))
+        passes.append(Pixels(np.ascontiguousarray(samples.radiance[:, :, number]), labels))
+    return passes
+
+
+def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labels:
+    height, width = samples.shape
+    depth = np.ascontiguousarray(samples.depth[:, :, number])
+    length = np.empty((height, width), np.float32)
+    if samples.coc_radius is None:
+        coc = np.empty((height, width), np.float32)
+        _plan_kernels.coc_radii(depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+    else:
+        coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
+    path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
+    _plan_kernels.path_lengths(path, length)
+    since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
+    shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
+    shift -= samples.motion[:, :, number] * since_centre[..., None]
+    view = View(depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    return Labels(coc, path, length, shift, view)

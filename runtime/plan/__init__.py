@@ -1,0 +1,1 @@
+"""Plan: which PSF variants a frame needs, in which layers, and what is drawn where."""

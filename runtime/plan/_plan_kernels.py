@@ -1,0 +1,374 @@
+"""Compiled kernels of the plan step: labels to variants, and points of variants."""
+
+import math
+
+import numba
+import numpy as np
+
+from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
+
+INVISIBLE = -1
+SHARP = 0
+"""Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
+
+MOST_GROWTH = 2.0
+"""Change of speed over a frame from which a motion no longer changes evenly."""
+MOST_TURN = 0.8 * math.pi
+"""Turn over a frame from which it cannot be told to which side it was."""
+LEAST_CHANGE = 1e-3
+"""Relative change of the velocity below which all paths are the same to single precision."""
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def coc_radii(depth, scale, inverse_focus, coc):
+    """Fill ``coc`` (H, W), float32, with ``scale * (inverse_focus - 1 / depth)``: signed CoC radii, px."""
+    for row in numba.prange(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            coc[row, col] = scale * (inverse_focus - 1.0 / np.float64(depth[row, col]))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_segments(before, after, time, tolerance, most, segments):
+    """Fill ``segments`` (H, W), int32, with the number, a power of 2, of chords that follow each path closely enough.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion to the frame's time and from it, px per frame.
+    time : float
+        Duration of the shutter, frames.
+    tolerance : float
+        Largest distance of the path from its chords, px.
+    most : int
+        Largest number.
+    """
+    for row in numba.prange(before.shape[0]):
+        for col in range(before.shape[1]):
+            x = np.float64(after[row, col, 0]) - np.float64(before[row, col, 0])
+            y = np.float64(after[row, col, 1]) - np.float64(before[row, col, 1])
+            # A parabola is farthest from its chord at half time, by acceleration time^2 / 8; halving divides by 4.
+            distance = 0.125 * time * time * math.sqrt(x * x + y * y)
+            count = 1
+            while count < most and distance > tolerance:
+                count *= 2
+                distance *= 0.25
+            segments[row, col] = count
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def path_places(before, after, time, place):
+    """Fill ``place`` (H, W, 2), float32, with where each path leads in a time, px from where it is at time 0.
+
+    The path leads through the places one frame before and after. It is the one whose velocity turns and grows evenly,
+    with ``q = after / before`` as complex numbers: ``after (q^time - 1) / (q - 1)``, an arc for what turns at constant
+    speed. Where the velocity changes by too much for that to mean something (a start, a stop, a bounce), it is a
+    parabola, and so it is where the two are the same.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion to the frame's time and from it, px per frame.
+    time : float
+        Frames.
+    """
+    for row in numba.prange(before.shape[0]):
+        for col in range(before.shape[1]):
+            p = complex(before[row, col, 0], before[row, col, 1])
+            n = complex(after[row, col, 0], after[row, col, 1])
+            z = 0.5 * time * (n + p) + 0.5 * time * time * (n - p)
+            if p != 0.0:
+                q = n / p
+                growth, turn = abs(q), math.atan2(q.imag, q.real)
+                even = 1.0 / MOST_GROWTH < growth < MOST_GROWTH and abs(turn) < MOST_TURN
+                if even and abs(q - 1.0) > LEAST_CHANGE:
+                    size, angle = growth**time, turn * time
+                    z = n * (complex(size * math.cos(angle), size * math.sin(angle)) - 1.0) / (q - 1.0)
+            place[row, col, 0], place[row, col, 1] = z.real, z.imag
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def path_lengths(path, length):
+    """Fill ``length`` (H, W), float32, with the lengths of the paths (H, W, 2), px."""
+    for row in numba.prange(path.shape[0]):
+        for col in range(path.shape[1]):
+            x, y = np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
+            length[row, col] = math.sqrt(x * x + y * y)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _scale_step(excess, steps_per_octave, n_scales):
+    """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
+    if not excess > 1.0:
+        return 0
+    if excess > 2.0 ** ((n_scales - 1) / steps_per_octave):
+        return n_scales - 1
+    return int(math.ceil(steps_per_octave * math.log2(excess)))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _same(coordinate, heading, coc, row, col):
+    """Tell whether a pixel has the labels of the one to its left."""
+    same = coc[row, col] == coc[row, col - 1]
+    for axis in range(len(coordinate)):
+        same &= coordinate[axis][row, col] == coordinate[axis][row, col - 1]
+    return (
+        same and heading[row, col, 0] == heading[row, col - 1, 0] and heading[row, col, 1] == heading[row, col - 1, 1]
+    )
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
+    """Map the labels of each pixel to the key of its variant.
+
+    Parameters
+    ----------
+    colour : tuple of two ndarrays of shapes (H, W, 4) and (H, W) or (0, 0), float32
+        Colours and weights; no weights means 1. Pixels of zero colour and alpha, or weight, get the key `INVISIBLE`.
+    coordinate : tuple of n_axes ndarrays of shape (H, W), float32
+        Physical coordinates; their signs are ignored.
+    pose : tuple
+        Vector (dx, dy) whose direction is used, (H, W, 2) float32; signed CoC radius, (H, W) float32; and the model's
+        `PoseSymmetry.codes`.
+    grid : tuple of ndarrays
+        ``remap`` and ``shape`` of the model's grid, its ``unit_cell``; ``cell_start`` of the database.
+    scales : tuple
+        Scale steps per octave; number of scale steps; which axes scale the PSF, (n_axes,) bool; how much of each
+        coordinate adds to the PSF's extent, (n_axes,) float64; and the extent up to which the key is `SHARP`.
+    key : ndarray of shape (H, W), int64
+        Filled with ``1 + (scale step * n_spreadlets + spreadlet) * 8 + orientation``.
+    excess : ndarray of shape (H, 3), float64
+        Filled with each row's largest factor by which a PSF exceeds the range, the number of such pixels, and the
+        largest scale step.
+    """
+    radiance, weight = colour
+    remap, shape, unit_cell, cell_start = grid
+    steps_per_octave, n_scales, scaling, share, sharp_extent = scales
+    heading, coc, (arrow, lattice, sign) = pose
+    n_axes = len(remap)
+    n_spreadlets = cell_start[-1]
+    for row in numba.prange(radiance.shape[0]):
+        excess[row] = 0.0
+        for col in range(radiance.shape[1]):
+            r, g, b, a = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2], radiance[row, col, 3]
+            if not (r or g or b or a) or (weight.shape[0] and weight[row, col] == 0):
+                key[row, col] = INVISIBLE
+                continue
+            # Neighbours on one flat, still surface share all their labels; counting an excess needs the long way.
+            if col > 0 and key[row, col - 1] >= 0 and excess[row, 1] == 0 and _same(coordinate, heading, coc, row, col):
+                key[row, col] = key[row, col - 1]
+                continue
+            extent = 0.0
+            factor = 0.0
+            for axis in range(n_axes):
+                size = abs(np.float64(coordinate[axis][row, col]))
+                extent += share[axis] * size
+                if scaling[axis]:
+                    factor = max(factor, size / remap[axis, 0])
+            if extent <= sharp_extent:
+                key[row, col] = SHARP
+                continue
+            step = 0
+            shrink = 1.0
+            if factor > 1.0:
+                step = _scale_step(factor, steps_per_octave, n_scales)
+                shrink = 2.0 ** (-step / steps_per_octave)
+                excess[row, 0] = max(excess[row, 0], factor)
+                excess[row, 1] += 1
+                excess[row, 2] = max(excess[row, 2], step)
+            unit = 0
+            for axis in range(n_axes):
+                size = abs(np.float64(coordinate[axis][row, col])) * (shrink if scaling[axis] else 1.0)
+                place = int(grid_coordinate(size, remap[axis], shape[axis]))
+                unit = unit * shape[axis] + min(place, shape[axis] - 1)
+            cell = unit_cell[unit]
+            n_poses = cell_start[cell + 1] - cell_start[cell]
+            angle = math.atan2(heading[row, col, 1], heading[row, col, 0]) if n_poses > 1 else 0.0
+            codes = arrow, lattice, sign
+            number, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, codes)
+            orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
+            key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + number) + orientation
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def mark_keys(key, place):
+    """Set ``place`` (n_keys,), int32, to 0 for each key in use."""
+    # Threads may write the same place, but nothing else than 0.
+    for row in numba.prange(key.shape[0]):
+        for col in range(key.shape[1]):
+            if key[row, col] >= 0:
+                place[key[row, col]] = 0
+
+
+@numba.njit(cache=True, fastmath=False)
+def number_keys(place):
+    """Replace the marks in ``place`` by ascending numbers, in place; return the marked keys, int64."""
+    count = 0
+    for i in range(len(place)):
+        count += place[i] == 0
+    used = np.empty(count, np.int64)
+    count = 0
+    for i in range(len(place)):
+        if place[i] == 0:
+            used[count] = i
+            place[i] = count
+            count += 1
+    return used
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def replace_keys(key, place, label):
+    """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible; count the latter."""
+    invisible = 0
+    for row in numba.prange(key.shape[0]):
+        for col in range(key.shape[1]):
+            label[row, col] = place[key[row, col]] if key[row, col] >= 0 else -1
+            invisible += key[row, col] < 0
+    return invisible
+
+
+@numba.njit(cache=True, fastmath=False)
+def count_labels(label, n_variants):
+    """Count the pixels of each variant, shape (n_variants,), int64."""
+    count = np.zeros(n_variants, np.int64)
+    for row in range(label.shape[0]):
+        for col in range(label.shape[1]):
+            if label[row, col] >= 0:
+                count[label[row, col] % n_variants] += 1
+    return count
+
+
+@numba.njit(cache=True, fastmath=False)
+def turned_points(offset_rc, transpose, flip_row, flip_col):
+    """Apply a lattice symmetry to offsets (n, 2), int16, and sort them by row.
+
+    Returns
+    -------
+    turned : ndarray of shape (n, 2), int32
+        Swapped first, then negated; rows ascending.
+    order : ndarray of shape (n,), int64
+        The point that each of them was.
+    """
+    n = offset_rc.shape[0]
+    row_axis = 1 if transpose else 0
+    row_sign = -1 if flip_row else 1
+    col_sign = -1 if flip_col else 1
+    lowest = 1 << 30
+    highest = -(1 << 30)
+    for i in range(n):
+        row = row_sign * np.int64(offset_rc[i, row_axis])
+        lowest = min(lowest, row)
+        highest = max(highest, row)
+    # Counting sort: rows are few and dense.
+    place = np.zeros(highest - lowest + 2, np.int64)
+    for i in range(n):
+        place[row_sign * np.int64(offset_rc[i, row_axis]) - lowest + 1] += 1
+    place = np.cumsum(place)
+    turned = np.empty((n, 2), np.int32)
+    order = np.empty(n, np.int64)
+    for i in range(n):
+        row = row_sign * np.int64(offset_rc[i, row_axis])
+        k = place[row - lowest]
+        place[row - lowest] += 1
+        turned[k, 0] = row
+        turned[k, 1] = col_sign * np.int64(offset_rc[i, 1 - row_axis])
+        order[k] = i
+    return turned, order
+
+
+@numba.njit(cache=True, fastmath=False)
+def _median(values, n):
+    """Return the median of the first n values, sorting them in place."""
+    for i in range(1, n):
+        each = values[i]
+        k = i
+        while k > 0 and values[k - 1] > each:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = each
+    return np.float32(0.5) * (values[(n - 1) // 2] + values[n // 2])
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def border_colours(strip, half, colour):
+    """Take the median of a strip across the border, then along it.
+
+    Parameters
+    ----------
+    strip : ndarray of shape (n, W, 4), float32
+        Pixels along a border.
+    half : int
+        The second median is over ``2 half + 1`` pixels, repeating the last at the ends.
+    colour : ndarray of shape (W, 4), float32
+        Filled.
+    """
+    n, width = strip.shape[:2]
+    across = np.empty((width, 4), np.float32)
+    for col in numba.prange(width):
+        values = np.empty(n, np.float32)
+        for c in range(4):
+            for i in range(n):
+                values[i] = strip[i, col, c]
+            across[col, c] = _median(values, n)
+    for col in numba.prange(width):
+        values = np.empty(2 * half + 1, np.float32)
+        for c in range(4):
+            for i in range(2 * half + 1):
+                values[i] = across[min(max(col + i - half, 0), width - 1), c]
+            colour[col, c] = _median(values, 2 * half + 1)
+
+
+@numba.njit(cache=True, fastmath=False)
+def colour_beyond(colours, down, right, row, col):
+    """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
+    above, below, before, behind = colours
+    if down < row:
+        return above[col]
+    if down > row:
+        return below[col]
+    return before[row] if right < col else behind[row]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def extend_frame(frame, colours, reach, origin, extended):
+    """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
+
+    Parameters
+    ----------
+    frame : tuple of three ndarrays
+        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32.
+    colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
+        What lies above, below, left and right of the frame.
+    reach : ndarray of shape (n_variants,), int64
+        How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
+    origin : tuple of two ints
+        Row and column, in the frame, of the first extended pixel.
+    extended : tuple of two ndarrays
+        Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours stay as
+        they were.
+    """
+    radiance, share, label = frame
+    above, below, before, behind = colours
+    out_radiance, out_label = extended
+    height, width = label.shape
+    for i in numba.prange(out_label.shape[0]):
+        down = origin[0] + i
+        row = min(max(down, 0), height - 1)
+        for j in range(out_label.shape[1]):
+            right = origin[1] + j
+            col = min(max(right, 0), width - 1)
+            index = label[row, col]
+            weight = share[row, col] if share.shape[0] else np.float32(1.0)
+            distance = max(abs(down - row), abs(right - col))
+            if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
+                out_label[i, j] = -1
+                continue
+            if distance == 0:
+                out_label[i, j] = index
+                for c in range(4):
+                    out_radiance[i, j, c] = weight * radiance[row, col, c]
+                continue
+            colour = colour_beyond((above, below, before, behind), down, right, row, col)
+            dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
+            out_label[i, j] = -1 if dark else index
+            for c in range(4):
+                out_radiance[i, j, c] = weight * colour[c]

@@ -1,0 +1,75 @@
+"""Continuing a frame beyond its border, so that what lies outside is blurred into it as what lies inside is."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.runtime.plan import _plan_kernels
+from spreadlets.runtime.splat.splat import STRIDES, SplatPass
+
+Image = npt.NDArray[np.float32]
+Colours = tuple[Image, Image, Image, Image]
+
+BORDER_STRIP = 8
+"""Depth, px, of the strip along a border whose median colour continues the frame."""
+BORDER_MEDIAN = 15
+"""Length, px, of the median along the border: a highlight shorter than half of it is not continued."""
+
+
+def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], colours: Colours | None) -> SplatPass:
+    """Return a frame with its pixels weighted, and with what lies beyond its border.
+
+    Labels and weights repeat those of the nearest border pixel, as far as its PSF reaches back into the frame.
+
+    Parameters
+    ----------
+    frame : SplatPass
+        The labelled pixels of the frame, unshifted, with stride 1 and origin (0, 0).
+    share : ndarray of shape (H, W) or (0, 0), float32
+        Weight of each pixel; empty if all are 1.
+    reach : ndarray of shape (n_variants,), int64
+        How far each variant's splat reaches from its pixel, px.
+    colours : tuple of ndarrays or None
+        What lies beyond the border, see `border_colours`; None to end there.
+
+    Returns
+    -------
+    SplatPass
+        Colours and labels are new arrays, or the frame's own where they are the same. Its first column is a multiple
+        of the largest stride, as that of every pass, so that their blocks fit one canvas.
+    """
+    height, width = frame.label.shape
+    top = bottom = left = right = 0
+    if colours is not None and len(reach):
+        edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
+        top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
+        # Blocks of the extended frame are blocks of the frame, whose labels change between them where they can.
+        top, left = (side + -side % STRIDES[-1] for side in (top, left))
+    elif not len(share):
+        return frame
+    shape = top + height + bottom, left + width + right
+    extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
+    nothing = np.zeros((0, 4), np.float32)
+    _plan_kernels.extend_frame(
+        (frame.radiance, share, frame.label),
+        colours or (nothing, nothing, nothing, nothing),
+        reach,
+        extended.origin,
+        (extended.radiance, extended.label),
+    )
+    return extended
+
+
+def border_colours(radiance: Image) -> Colours:
+    """Return the robust colours along the top, bottom, left and right border, shapes (W, 4) and (H, 4).
+
+    A plain repetition would turn a highlight at the border into a streak of highlights outside, and its bokeh would
+    grow brighter towards the border; the median leaves it out.
+    """
+    turned = radiance.transpose(1, 0, 2)
+    colours: list[Image] = []
+    for side in (radiance[:BORDER_STRIP], radiance[-BORDER_STRIP:], turned[:BORDER_STRIP], turned[-BORDER_STRIP:]):
+        colours.append(np.empty((side.shape[1], 4), np.float32))
+        _plan_kernels.border_colours(np.ascontiguousarray(side), BORDER_MEDIAN // 2, colours[-1])
+    return colours[0], colours[1], colours[2], colours[3]

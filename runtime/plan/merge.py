@@ -1,0 +1,60 @@
+"""Level of detail: blocks of like pixels under a wide PSF are drawn as one, where the eye cannot tell.
+
+The PSF of a wide blur hides what lies within a block of 2 x 2 or 4 x 4 pixels. Replacing the pixels x_i of a block by
+their mean changes the result at x by ``sum_i d_i f(x - x_i)``, d_i being their deviations, which is at most
+``D osc(f)``, D half the sum of their absolute values and osc(f) the range of the PSF over the block. Summed over blocks
+alike, that is at most ``D TV(f) (s - 1) / s^2``, with the PSF's total variation TV and the block's side s. Uniform
+blocks are exact; a highlight has a large deviation and keeps its own place.
+
+Blocks are drawn at their first pixels into an image of their own, and the sum over the block's area is taken once, for
+all blocks together, by adding moved copies of that image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.runtime.plan import _merge_kernels
+from spreadlets.runtime.splat.splat import NO_SHIFT, STRIDES, SplatPass
+
+
+def merge_blocks(
+    frame: SplatPass, variation: npt.NDArray[np.float32], tolerance: float
+) -> tuple[list[SplatPass], float]:
+    """Split a pass into blocks that can be drawn as one, and the pixels left.
+
+    Parameters
+    ----------
+    frame : SplatPass
+        Labelled pixels with stride 1; its labels are changed in place.
+    variation : ndarray of shape (n_labels,), float32
+        Total variation of each label's PSF, infinite where pixels must not be merged.
+    tolerance : float
+        Largest change of the displayed image, as a share of its range, that a merged block may cause.
+
+    Returns
+    -------
+    levels : list of SplatPass
+        Strides 1, 2 and 4, as far as there are any.
+    bound : float
+        Bound on the change of the displayed image, at most the tolerance.
+    """
+    levels = [frame]
+    if frame.shift is not NO_SHIFT or tolerance <= 0:
+        return levels, 0.0
+    share = np.float32(tolerance / (len(STRIDES) - 1))
+    bound = 0.0
+    for stride in STRIDES[1:]:
+        finer = levels[-1]
+        height, width = (size // 2 for size in finer.label.shape)
+        if not height or not width:
+            break
+        radiance = np.empty((height, width, 4), np.float32)
+        label = np.empty((height, width), np.int32)
+        worst = np.zeros(height, np.float32)
+        factor = (variation * np.float32((stride - 1) / 4)).astype(np.float32)
+        _merge_kernels.merge_blocks(finer.radiance, finer.label, factor, share, radiance, label, worst)
+        bound += float(worst.max())
+        levels.append(SplatPass(frame.origin, radiance, label, NO_SHIFT, stride))
+    return levels, bound

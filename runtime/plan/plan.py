@@ -1,0 +1,393 @@
+"""Planning: from the labels alone, which PSF variants the frame needs, and nothing else."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.psf.database import Database
+from spreadlets.psf.model import PsfGrid
+from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
+from spreadlets.runtime.label.pixels import Pixels, frame_pixels
+from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
+from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
+from spreadlets.runtime.plan.layering import DEFAULT_SOFTNESS, Layering, Membership
+from spreadlets.runtime.plan.merge import merge_blocks
+from spreadlets.runtime.plan.pool import place_pixels, pool
+from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, split_spike, variant_points
+from spreadlets.runtime.splat.splat import PointTable, SplatPass
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
+
+DEFAULT_TOLERANCE = 0.004
+"""One step of an 8-bit display."""
+SCALE_STEPS_PER_OCTAVE = 16
+"""Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
+N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
+"""PSFs are scaled by up to 8; a wider one covers the frame evenly whatever its exact size."""
+SHARP_EXTENT = 0.5
+"""A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
+NEVER_SHARP = -1.0
+HIGHLIGHT_RATIO = 1e4
+"""A pixel so many times brighter than the median is drawn in full: the field around its spreadlet would show."""
+MOST_HIGHLIGHTS = 0.01
+"""Share of the pixels up to which they are drawn in full: where there are more, they are what is to be seen."""
+HIGHLIGHT_STEP = 4
+"""Every so many rows and columns are looked at for the median."""
+WIDE_REACH = 8
+"""Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
+it is the mean of many such errors that counts."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to draw.
+
+    Attributes
+    ----------
+    tolerance : float
+        See `spreadlets.runtime.plan.merge.merge_blocks`.
+    dense_psf : callable or None
+        If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
+    border : bool
+        Whether to continue the frame beyond its border.
+    n_layers : int
+        Depth layers.
+    softness : float
+        See `spreadlets.runtime.plan.layering.Layering`.
+    stochastic : bool
+        Whether the pixels are stochastic samples.
+    """
+
+    tolerance: float = DEFAULT_TOLERANCE
+    dense_psf: DensePsf | None = None
+    border: bool = True
+    n_layers: int = 1
+    softness: float = DEFAULT_SOFTNESS
+    stochastic: bool = False
+
+
+@dataclass
+class Plan:
+    """What a set of labelled pixels needs.
+
+    Attributes
+    ----------
+    sources : list of list of SplatPass
+        The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
+    table : PointTable
+        The points of the variants in use, and behind them the spikes that were taken off some of them.
+    n_variants : int
+        Variants without the spikes.
+    n_layers : int
+        Depth layers.
+    members : list of Membership
+        The layers of the pixels that were given, in their order.
+    cells_used : set of int
+    pixels_skipped : int
+        Pixels that contribute nothing.
+    error_bound : float
+        Bound on the change of the displayed image by drawing blocks of pixels as one.
+    left_out : list of str
+        What is not needed.
+    """
+
+    sources: list[list[SplatPass]]
+    table: PointTable
+    n_variants: int
+    n_layers: int
+    members: list[Membership]
+    cells_used: set[int]
+    pixels_skipped: int
+    error_bound: float = 0.0
+    left_out: list[str] = field(default_factory=list)
+
+    def counts(self) -> dict[str, int]:
+        """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
+
+        Pixels that are pooled (`spreadlets.runtime.plan.pool`) count as one.
+        """
+        drawn, splats, merged = np.zeros((3, self.table.n_variants), np.int64)
+        for source in (each for levels in self.sources for each in levels):
+            count = _plan_kernels.count_labels(source.label, self.table.n_variants)
+            splats += count
+            drawn += count * source.stride**2
+            merged += count * source.stride**2 if source.stride > 1 else 0
+        # A pixel with a spike is drawn twice.
+        drawn[self.n_variants :] = 0
+        return {
+            "pixels_sparse": int(drawn[~self.table.direct].sum()),
+            "pixels_dense": int(drawn[self.table.direct].sum()),
+            "pixels_merged": int(merged.sum()),
+            "points_splatted": int((splats * self.table.n_points).sum()),
+        }
+
+
+class _Part(NamedTuple):
+    """The part of some pixels that lies in the nearer or in the farther of their layers."""
+
+    pixels: Pixels
+    label: npt.NDArray[np.int32]
+    weight: npt.NDArray[np.float32]
+    colours: Colours | None
+
+
+def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
+    """Return the (cell, pose) pairs that a frame needs of a database with the given grid."""
+    cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
+    needed: set[tuple[int, int]] = set()
+    for layer in frame.layers:
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
+            key, _ = _variant_keys(pixels, grid, cell_start)
+            variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
+            needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
+    return needed
+
+
+def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings) -> Plan:
+    """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
+
+    Notes
+    -----
+    LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
+    """
+    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
+    drawn = _mark_highlights(passes, keys, database.n_spreadlets)
+    used, place = _used_keys(drawn)
+    indices = [np.empty(key.shape, np.int32) for key in drawn]
+    skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(drawn, indices, strict=True))
+    _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
+    variants = [_decode(int(each), database.cell_start) for each in used]
+    points = list(variant_points(variants, database, settings.dense_psf))
+    points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
+    table, spike_of = _point_table(points, spikes, database.n_channels)
+    labels = [each.labels for each in passes]
+    layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
+    members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
+    parts = _all_parts(passes, members, settings, layering.n_layers, table.n_variants)
+    splats = list(_splat_passes(parts, table, layering.n_layers, settings.stochastic))
+    variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
+    alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
+    merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
+    plan = Plan(
+        sources=[levels for levels, _ in merged] + [[each] for each in alone],
+        table=table,
+        n_variants=len(variants),
+        n_layers=layering.n_layers,
+        members=members,
+        cells_used={variant.cell for variant in variants if variant != SHARP},
+        pixels_skipped=int(np.logical_and.reduce([index < 0 for index in indices]).sum()),
+        error_bound=max((bound for _, bound in merged), default=0.0),
+    )
+    plan.left_out = _left_out(plan, labels, variants)
+    return plan
+
+
+def _variant_keys(
+    pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
+    labels, model = pixels.labels, grid.model
+    coordinate = _coordinates(labels, grid)
+    key = np.empty(labels.coc.shape, np.int64)
+    excess = np.empty((len(key), 3), np.float64)
+    scaling = np.array([axis.scales for axis in model.axes])
+    share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
+    # Where more than lens and motion blurs, no PSF stays within its pixel.
+    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, SHARP_EXTENT if scaling.all() else NEVER_SHARP
+    pose = np.ascontiguousarray(DIRECTIONS[model.symmetry.angle](labels)), labels.coc, model.symmetry.codes
+    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start
+    _plan_kernels.variant_keys((pixels.radiance, pixels.weight), coordinate, pose, tables, scales, key, excess)
+    return key, excess
+
+
+def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32], ...]:
+    """Return the coordinates (H, W) of each pixel; say what the model cannot show."""
+    for name, share in ignored_effects(labels, grid.model):
+        warnings.warn(
+            f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {100 * share:.1f} % of "
+            "the pixels",
+            stacklevel=2,
+        )
+    found = coordinates(labels, grid.model)
+    for axis, values in zip(grid.model.axes, found, strict=True):
+        share = 0.0 if axis.scales else float((np.abs(values) > axis.maximum).mean())
+        if share > 0:
+            warnings.warn(
+                f"{100 * share:.2f} % of the pixels lie beyond the database's largest {axis.name}, "
+                f"{axis.maximum:g} {axis.unit}: its last cells are used there",
+                stacklevel=2,
+            )
+    return found
+
+
+def _mark_highlights(
+    passes: Sequence[Pixels], keys: Sequence[npt.NDArray[np.int64]], n_spreadlets: int
+) -> list[npt.NDArray[np.int64]]:
+    """Return the keys, those of strong highlights changed to the same PSFs drawn in full."""
+    threshold = HIGHLIGHT_RATIO * _median_light(passes)
+    changed = []
+    for pixels, key in zip(passes, keys, strict=True):
+        if not pixels.radiance.max(initial=0.0) > threshold:
+            changed.append(key)
+            continue
+        bright = pixels.radiance[..., :3].max(axis=2) > threshold
+        few = 0 < np.count_nonzero(bright) <= max(1.0, MOST_HIGHLIGHTS * bright.size)
+        full = key + 8 * N_SCALES * n_spreadlets
+        changed.append(np.where(bright & (key > _plan_kernels.SHARP), full, key) if few else key)
+    return changed
+
+
+def _median_light(passes: Sequence[Pixels]) -> float:
+    """Return the median of the brightest channel over some of the pixels that have light; 0 if none has any."""
+    some = [each.radiance[::HIGHLIGHT_STEP, ::HIGHLIGHT_STEP, :3].max(axis=2).ravel() for each in passes]
+    light = np.concatenate(some)
+    lit = light[light > 0]
+    return float(np.median(lit)) if len(lit) else math.inf
+
+
+def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
+    place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
+    for key in keys:
+        _plan_kernels.mark_keys(key, place)
+    return _plan_kernels.number_keys(place), place
+
+
+def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
+    """Say which share of the pixels has a PSF beyond the database's range, if any."""
+    beyond = excess[:, 1].sum()
+    if not beyond:
+        return
+    limits = ", ".join(f"{axis.name} 0 to {axis.maximum:g} {axis.unit}" for axis in grid.model.axes)
+    warnings.warn(
+        f"{100.0 * beyond / n_visible:.2f} % of the pixels have a PSF beyond the database's range ({limits}; largest "
+        f"needed is {excess[:, 0].max():.2f} times that): scaled from the nearest cell",
+        stacklevel=2,
+    )
+
+
+def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
+    """Turn a key of the kernel back into what it stands for."""
+    if key == _plan_kernels.SHARP:
+        return SHARP
+    scaled, orientation = divmod(key - 1, 8)
+    step, spreadlet = divmod(scaled, int(cell_start[-1]))
+    full, step = divmod(step, N_SCALES)
+    cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
+    return Variant(
+        cell=cell,
+        direction=spreadlet - int(cell_start[cell]),
+        transpose=bool(orientation & 1),
+        flip_row=bool(orientation & 2),
+        flip_col=bool(orientation & 4),
+        scale=float(np.exp2(step / SCALE_STEPS_PER_OCTAVE)),
+        full=bool(full),
+    )
+
+
+def _point_table(
+    points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
+) -> tuple[PointTable, npt.NDArray[np.int32]]:
+    """Concatenate the points of all variants, then the spikes; say which variant each one's spike is, -1 if none."""
+    spike_of = np.full(len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
+    for number, spike in enumerate(spikes):
+        if spike.any():
+            spike_of[number] = len(points)
+            points = [*points, (np.zeros((1, 2), np.int32), spike[None], True)]
+    counts = [len(offset_rc) for offset_rc, _, _ in points]
+    return PointTable(
+        np.concatenate([np.zeros((0, 2), np.int32), *(offset_rc for offset_rc, _, _ in points)]),
+        np.concatenate([np.zeros((0, n_channels), np.float32), *(value for _, value, _ in points)]),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.array([direct for _, _, direct in points], np.bool_),
+    ), spike_of
+
+
+def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int) -> SplatPass:
+    """Return the pass that draws the spikes of the pixels of another."""
+    base = len(spike_of) * np.arange(n_layers, dtype=np.int32)[:, None]
+    label = np.append(np.where(spike_of >= 0, base + spike_of, np.int32(-1)), np.int32(-1))
+    return frame._replace(label=label[frame.label])
+
+
+def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
+    """Return the colours beyond the border of each pass; passes often share their colours."""
+    found = {id(pixels.radiance): pixels.radiance for pixels in passes}
+    colours = {key: border_colours(radiance) for key, radiance in found.items()}
+    return [colours[id(pixels.radiance)] for pixels in passes]
+
+
+def _all_parts(
+    passes: Sequence[Pixels], members: Sequence[Membership], settings: Settings, n_layers: int, n_variants: int
+) -> Iterator[_Part]:
+    """Yield all parts of all pixels."""
+    beyond = _border_colours(passes) if settings.border else [None] * len(passes)
+    for pixels, member, colours in zip(passes, members, beyond, strict=True):
+        if (member.variant >= 0).any():
+            for label, weight in _parts(pixels, member, n_layers, n_variants):
+                yield _Part(pixels, label, weight, colours)
+
+
+def _parts(
+    pixels: Pixels, members: Membership, n_layers: int, n_variants: int
+) -> Iterator[tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]]:
+    """Yield labels and weights of the pixels' parts in the nearer and in the farther of their layers."""
+    if n_layers == 1:
+        yield members.variant.copy(), pixels.weight
+        return
+    for part in (0, 1):
+        label = np.empty(members.variant.shape, np.int32)
+        share = np.empty(members.variant.shape, np.float32)
+        if _layer_kernels.layer_labels(*members, pixels.weight, n_variants, part, label, share):
+            yield label, share
+
+
+def _splat_passes(parts: Iterator[_Part], table: PointTable, n_layers: int, stochastic: bool) -> Iterator[SplatPass]:
+    """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
+    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
+    shifted = []
+    for pixels, label, weight, colours in parts:
+        if pixels.labels.shift is None:
+            yield extended_pass(SplatPass((0, 0), pixels.radiance, label), weight, table.reaches, colours)
+        else:
+            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, wide, colours))
+    yield from pool(shifted, table.reaches, n_layers)
+
+
+def _variation(
+    variants: list[Variant], spikes: list[npt.NDArray[np.float32]], table: PointTable, database: Database
+) -> npt.NDArray[np.float32]:
+    """Return the total variation of each variant's PSF without its spike, infinite where it is drawn directly."""
+    stored = database.statistics()["total_variation"]
+    variation = np.full(table.n_variants, np.inf, np.float32)
+    for number, variant in enumerate(variants):
+        if not table.direct[number]:
+            # A PSF stretched by s is lower by s^2 and its outline longer by s.
+            whole = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
+            # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
+            variation[number] = max(whole - 4.0 * spikes[number].min(), 0.0)
+    return variation
+
+
+def _left_out(plan: Plan, labels: Sequence[Labels], variants: list[Variant]) -> list[str]:
+    """Name what is not needed."""
+    skipped: dict[str, bool] = {
+        "empty pixels": plan.pixels_skipped > 0,
+        "motion": not any(each.length.any() for each in labels),
+        "curved motion": not any(each.shift is not None for each in labels[1:]),
+        "blended depths": all(each.view.depth is labels[0].view.depth for each in labels),
+        "defocus": not any(each.coc.any() for each in labels),
+        "depth layers": plan.n_layers == 1,
+        "sparse image": bool(plan.table.direct.all()),
+        "direct image": not plan.table.direct.any(),
+        "scaled PSFs": all(variant.scale == 1.0 for variant in variants),
+        "sub-pixel placement": all(each.shift is None for each in labels),
+    }
+    return [name for name, is_skipped in skipped.items() if is_skipped]

@@ -1,0 +1,205 @@
+"""PSF variants: a stored spreadlet turned by the lattice's symmetries and scaled, as a row-sorted list of points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+from scipy.spatial import ConvexHull
+
+from spreadlets.psf.database import Database
+from spreadlets.psf.laplacian import solve_dirichlet
+from spreadlets.psf.spreadlet import Spreadlet
+from spreadlets.runtime.plan._plan_kernels import turned_points
+
+Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
+
+
+class DensePsf(Protocol):
+    """Gives the full PSF of (cell, direction, scale) as an array of odd size, centred, and says how to draw it."""
+
+    @property
+    def by_rows(self) -> bool:
+        """Whether to draw the PSF's differences along rows, summed up afterwards, rather than its pixels."""
+
+    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF."""
+
+
+MIN_DENSE_VALUE = 1e-7
+"""Pixels of a dense PSF below this share of its peak are not drawn: under float32's own resolution."""
+MIN_ROW_STEP = 2e-3
+"""A row of a PSF counts as constant while it stays within this share of the peak: a traced disc is not quite even."""
+
+FULL_MARGIN = 16
+"""Border, px, of the solve that turns a spreadlet into its PSF."""
+SPIKE_SHARE = 0.01
+"""A spike that holds less than this share of a channel's light is left where it is."""
+HULL_TOLERANCE = 1e-6
+"""How far outside the hull of its points, px, a pixel still counts as on it: rounding."""
+
+
+class Variant(NamedTuple):
+    """One PSF as a frame needs it: which stored spreadlet, how turned, how much larger, and whether drawn in full."""
+
+    cell: int
+    direction: int
+    transpose: bool
+    flip_row: bool
+    flip_col: bool
+    scale: float
+    full: bool = False
+
+
+SHARP = Variant(-1, 0, False, False, False, 1.0)
+"""The PSF that stays within its pixel: of no cell, a single direct point. It sorts first among a plan's variants."""
+
+
+def variant_points(variants: list[Variant], database: Database, dense_psf: DensePsf | None) -> Iterator[Points]:
+    """Yield each variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
+    stored = [each for each in variants if each != SHARP]
+    if len(stored) < len(variants):
+        yield np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
+    if dense_psf is not None:
+        yield from (_dense_variant(each, dense_psf) for each in stored)
+        return
+    spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
+    for each, spreadlet in zip(stored, spreadlets, strict=True):
+        wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
+        yield _turned(in_full(wide) if each.full else wide, each)
+
+
+def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
+    """Return the points of a spreadlet, turned as the variant asks."""
+    turned, order = turned_points(spreadlet.offset_rc, variant.transpose, variant.flip_row, variant.flip_col)
+    return turned, spreadlet.value[order], spreadlet.direct
+
+
+def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
+    """Return the points of a variant's full PSF."""
+    psf = dense_psf(variant.cell, variant.direction, variant.scale)
+    if not dense_psf.by_rows:
+        return _turned(_dense_points(psf), variant)
+    # Differences along rows must be taken after turning.
+    turned = psf.swapaxes(0, 1) if variant.transpose else psf
+    turned = turned[:: -1 if variant.flip_row else 1, :: -1 if variant.flip_col else 1]
+    steps = _row_differences(turned)
+    return steps.offset_rc.astype(np.int32), steps.value, False
+
+
+def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
+    """Return a spreadlet whose PSF is wider by a factor above 1, of equal energy.
+
+    The Laplacian of ``f(x / s) / s^2`` has its points at ``s x`` with values ``v / s^2``. Rounding the points to pixels
+    upsets the moments that keep the far field clean; the smallest change of the values restores them.
+    """
+    if spreadlet.direct:
+        return _dense_points(_magnified(spreadlet.to_dense(), scale))
+    offset = spreadlet.offset_rc.astype(np.float64) * scale
+    rounded = np.rint(offset)
+    value = spreadlet.value.astype(np.float64) / scale**2
+    target = _moments(offset) @ value
+    moments = _moments(rounded)
+    value += np.linalg.lstsq(moments, target - moments @ value, rcond=None)[0]
+    return Spreadlet(rounded.astype(np.int16), value.astype(np.float32), False)
+
+
+def in_full(spreadlet: Spreadlet) -> Spreadlet:
+    """Return a spreadlet's PSF itself as direct points, of equal energy, and zero outside the hull of its points.
+
+    The field that a sparse Laplacian leaves around its PSF is some 1e-5 of it: too much next to a strong highlight.
+    """
+    if spreadlet.direct:
+        return spreadlet
+    half = np.asarray(spreadlet.extent)
+    psf = np.zeros((*(2 * (half + FULL_MARGIN) + 1), spreadlet.n_channels))
+    rows, cols = (spreadlet.offset_rc.astype(np.int64) + half + FULL_MARGIN).T
+    psf[rows, cols] = spreadlet.value
+    psf = np.maximum(solve_dirichlet(psf), 0.0)
+    edges = ConvexHull(spreadlet.offset_rc).equations
+    grid = np.stack(np.meshgrid(*(np.arange(-h, h + 1) for h in half + FULL_MARGIN), indexing="ij"), axis=-1)
+    psf[(grid @ edges[:, :2].T + edges[:, 2]).max(axis=2) > HULL_TOLERANCE] = 0.0
+    # The second moments of a Laplacian are those of its image's sum.
+    psf *= spreadlet.moments()[4:].sum(axis=0) / (4.0 * psf.sum(axis=(0, 1)))
+    return _dense_points(psf)
+
+
+def split_spike(points: Points) -> tuple[Points, npt.NDArray[np.float32]]:
+    """Take what the central pixel of a PSF has above its neighbours off its points.
+
+    Light that passes a medium unscattered stays in its pixel, and its texture is seen as it is. The rest is smooth.
+
+    Parameters
+    ----------
+    points : Points
+        As from `variant_points`.
+
+    Returns
+    -------
+    points : Points
+        What is left: values at the same places.
+    spike : ndarray of shape (C,), float32
+        What was taken off; zero if there is no spike, or the points are direct.
+    """
+    offset_rc, value, direct = points
+    nothing = np.zeros(value.shape[1], np.float32)
+    if direct:
+        return points, nothing
+    distance = (offset_rc * offset_rc).sum(axis=1)
+    centre, around = np.flatnonzero(distance == 0), np.flatnonzero(distance == 1)
+    if len(centre) != 1 or len(around) != 4:
+        return points, nothing
+    spike = np.minimum(value[around].min(axis=0), -0.25 * value[centre[0]])
+    energy = 0.25 * distance @ value
+    if not (spike > SPIKE_SHARE * energy).all():
+        return points, nothing
+    rest = value.copy()
+    rest[around] -= spike
+    rest[centre] += 4 * spike
+    return (offset_rc, rest, direct), spike
+
+
+def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the moment matrix of shape (6, n): 1, row, col and the second moments."""
+    row, col = offset.T
+    return np.stack([np.ones_like(row), row, col, row * col, row * row, col * col])
+
+
+def _magnified(psf: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
+    """Resample a centred PSF to a size larger by ``scale``, of equal energy."""
+    half = [int(np.ceil((size // 2 + 1) * scale)) for size in psf.shape[:2]]
+    grid = np.meshgrid(*(np.arange(-extent, extent + 1) / scale for extent in half), indexing="ij")
+    centre = [size // 2 for size in psf.shape[:2]]
+    position = [axis + offset for axis, offset in zip(grid, centre, strict=True)]
+    channels = [ndimage.map_coordinates(psf[..., c], position, order=1) for c in range(psf.shape[2])]
+    magnified: npt.NDArray[np.float64] = np.stack(channels, axis=-1)
+    magnified *= psf.sum() / magnified.sum()
+    return magnified
+
+
+def _dense_points(psf: npt.NDArray[np.float64]) -> Spreadlet:
+    """Turn a centred dense PSF of shape (h, w, C) into direct points."""
+    rows, cols = np.nonzero(psf.max(axis=2) > MIN_DENSE_VALUE * psf.max())
+    value = psf[rows, cols]
+    value *= psf.sum(axis=(0, 1)) / value.sum(axis=0)
+    centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
+    return Spreadlet((np.stack([rows, cols], axis=1) - centre).astype(np.int16), value.astype(np.float32), True)
+
+
+def _row_differences(psf: npt.NDArray[np.float64]) -> Spreadlet:
+    """Turn a centred dense PSF of shape (h, w, C) into the steps along its rows; their running sums are the PSF."""
+    held = np.zeros((psf.shape[0], psf.shape[2]))
+    steps = np.zeros((psf.shape[0], psf.shape[1] + 1, psf.shape[2]))
+    for col in range(psf.shape[1]):
+        moved = (np.abs(psf[:, col] - held) > MIN_ROW_STEP * psf.max()).any(axis=1)
+        steps[moved, col] = psf[moved, col] - held[moved]
+        held[moved] = psf[moved, col]
+    steps[:, -1] = -held
+    steps *= psf.sum() / np.cumsum(steps, axis=1).sum()
+    rows, cols = np.nonzero(steps.any(axis=2))
+    centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
+    offset_rc = (np.stack([rows, cols], axis=1) - centre).astype(np.int16)
+    return Spreadlet(offset_rc, steps[rows, cols].astype(np.float32), False)

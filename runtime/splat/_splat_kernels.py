@@ -1,0 +1,454 @@
+"""Compiled kernels of the splat step: runs of like pixels, drawn as contiguous multiply-adds.
+
+Indices into images are unsigned: a signed index would be checked for wrap-around at each access, which keeps the
+compiler from vectorising.
+"""
+
+import numba
+import numpy as np
+
+from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
+
+RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
+"""Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""
+
+LONG_RUN = 16
+"""Pixels from which a run is drawn along itself rather than along the rows of a direct PSF."""
+
+_U = np.uint64
+
+
+@numba.njit(cache=True, fastmath=False)
+def _run_end(label, shift, row, col):
+    """Return the column behind the run that starts at (row, col): same label and, if there are shifts, same shift."""
+    width = label.shape[1]
+    end = col + 1
+    while end < width and label[row, end] == label[row, col]:
+        if shift.shape[0] and (shift[row, end, 0] != shift[row, col, 0] or shift[row, end, 1] != shift[row, col, 1]):
+            break
+        end += 1
+    return end
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_runs(label, shift, group, count):
+    """Count the runs of neighbouring pixels in a row that share a label and a shift.
+
+    Parameters
+    ----------
+    label : ndarray of shape (H, W), int32
+        Label of each pixel; negative where nothing is drawn.
+    shift : ndarray of shape (H, W, 2), int32, or (0, 0, 2)
+        Displacement (row, col) of each pixel's splat centre, px; empty if there is none.
+    group : ndarray of shape (n_labels,), int64
+        The group that runs of each label go to.
+    count : ndarray of shape (n_groups, H), int64
+        Filled with the runs of each group in each row.
+    """
+    height, width = label.shape
+    for row in numba.prange(height):
+        count[:, row] = 0
+        col = 0
+        while col < width:
+            end = _run_end(label, shift, row, col)
+            if label[row, col] >= 0:
+                count[group[label[row, col]], row] += 1
+            col = end
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def list_runs(label, shift, group, start, place, n_variants, runs):
+    """List the runs of `count_runs`, those of a group together, in raster order.
+
+    Parameters
+    ----------
+    label, shift, group
+        As for `count_runs`.
+    start : ndarray of shape (n_groups, H), int64
+        Where the runs of each group in each row begin in the list.
+    place : tuple of four ints
+        Place of the pixels in the flattened source; row and column of the first in the frame; their distance, px.
+    n_variants : int
+        A label is ``layer * n_variants + variant``.
+    runs : ndarray of shape (n_runs, 5), int32
+        Filled; see `RUN_SOURCE`.
+    """
+    source, first_row, first_col, stride = place
+    height, width = label.shape
+    for row in numba.prange(height):
+        at = start[:, row].copy()
+        col = 0
+        while col < width:
+            end = _run_end(label, shift, row, col)
+            if label[row, col] >= 0:
+                i = at[group[label[row, col]]]
+                at[group[label[row, col]]] += 1
+                runs[i, 0] = source + row * width + col
+                runs[i, 1] = first_row + stride * row
+                runs[i, 2] = first_col + stride * col
+                if shift.shape[0]:
+                    runs[i, 1] += shift[row, col, 0]
+                    runs[i, 2] += shift[row, col, 1]
+                runs[i, 3] = end - col
+                runs[i, 4] = label[row, col] % n_variants
+            col = end
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def collect_runs(radiance, runs, place, colours):
+    """Copy the colours of runs together.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H * W * 4,), float32
+        Flattened source.
+    runs : ndarray of shape (n_runs, 5), int32
+    place : ndarray of shape (n_runs,), int64
+        The first pixel of each run in the collection.
+    colours : ndarray of shape (n_pixels * 4,), float32
+        Filled at these places.
+    """
+    for i in numba.prange(runs.shape[0]):
+        source, target = _U(4) * _U(runs[i, 0]), _U(4) * _U(place[i])
+        for k in range(_U(4) * _U(runs[i, 3])):
+            colours[target + k] = radiance[source + k]
+
+
+@numba.njit(cache=True, fastmath=False)
+def run_bounds(runs, reach, stride):
+    """Return the first row and column that the splats of runs may touch, and those behind the last."""
+    top, left, bottom, right = 1 << 30, 1 << 30, -(1 << 30), -(1 << 30)
+    for i in range(runs.shape[0]):
+        far = reach[runs[i, 4]]
+        top = min(top, runs[i, 1] - far)
+        bottom = max(bottom, runs[i, 1] + stride + far)
+        left = min(left, runs[i, 2] - far)
+        right = max(right, runs[i, 2] + stride * runs[i, 3] + far)
+    return top, left, bottom, right
+
+
+@numba.njit(cache=True, fastmath=False)
+def rows_of_points(offset_rc, point_start, reach, base, first):
+    """List, for each variant, where the points of each row begin.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+        Rows ascending within a variant.
+    point_start : ndarray of shape (n_variants + 1,), int64
+    reach : ndarray of shape (n_variants,), int64
+        No row of the variant lies farther from 0 than this.
+    base : ndarray of shape (n_variants + 1,), int64
+        Cumulative sum of ``2 reach + 2``.
+    first : ndarray of shape (base[-1],), int64
+        Filled: the points of variant v from row r on begin at ``first[base[v] + r + reach[v]]``.
+    """
+    for variant in range(len(reach)):
+        p = point_start[variant]
+        for k in range(2 * reach[variant] + 2):
+            while p < point_start[variant + 1] and offset_rc[p, 0] < k - reach[variant]:
+                p += 1
+            first[base[variant] + k] = p
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def point_offsets(offset_rc, cols, offsets):
+    """Turn offsets into places in flattened images of strides 1, 2 and 4, see `_spread`.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+    cols : int
+        Columns of the images, a multiple of 4.
+    offsets : ndarray of shape (3, n_points), int64
+        Filled, in floats.
+    """
+    for p in numba.prange(offset_rc.shape[0]):
+        row, col = np.int64(offset_rc[p, 0]) * 4 * cols, np.int64(offset_rc[p, 1])
+        offsets[0, p] = row + 4 * col
+        # Shifts and masks take the floor of negative columns, too.
+        offsets[1, p] = row + 4 * ((col & 1) * (cols >> 1) + (col >> 1))
+        offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _runs_near(level, first_row, n_rows, farthest):
+    """Return the runs of a level that may reach ``n_rows`` rows of the canvas from ``first_row`` on: first, end."""
+    _, _, row_start = level
+    rows = row_start.shape[0] - 1
+    first = row_start[min(max(first_row - farthest, 0), rows)]
+    return first, row_start[min(max(first_row + n_rows + farthest, 0), rows)]
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
+    """Add one pixel, times the value of each point, at the places of the points."""
+    colour = load(radiance, source)
+    for p in range(begin, end):
+        o = _U(target + point_offset[p])
+        weight = value[p, 0]
+        store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
+    """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
+    for p in range(begin, end):
+        o = _U(target + point_offset[p])
+        weight = value[p, 0], value[p, 0], value[p, 0], value[p, 0]
+        for k in range(_U(0), n, _U(4)):
+            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
+    """Do as `_draw_run` with a value for each of R, G, B and alpha."""
+    for p in range(begin, end):
+        o = _U(target + point_offset[p])
+        weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
+        for k in range(_U(0), n, _U(4)):
+            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
+    """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
+    radiance, runs, _ = level
+    _, first, base, reach = points
+    top, left, pitch, farthest = canvas
+    first_run, end_run = _runs_near(level, first_row, n_rows, farthest)
+    for i in range(first_run, end_run):
+        variant = runs[i, 4]
+        row = runs[i, 1] - top - first_row
+        last = 2 * reach[variant] + 1
+        begin = first[base[variant] + min(max(reach[variant] - row, 0), last)]
+        end = first[base[variant] + min(max(reach[variant] + n_rows - row, 0), last)]
+        if begin == end:
+            continue
+        source = _U(4) * _U(runs[i, 0])
+        # The column of a canvas's first pixel fits the stride, see `splat_levels`.
+        at = np.int64(row) * pitch + 4 * ((runs[i, 2] - left) // stride)
+        n = _U(4) * _U(runs[i, 3])
+        if value.shape[1] == 4:
+            _draw_coloured_run(target, radiance, source, at, n, point_offset, value, begin, end)
+        elif n == _U(4):
+            _draw_pixel(target, radiance, source, at, point_offset, value, begin, end)
+        else:
+            _draw_run(target, radiance, source, at, n, point_offset, value, begin, end)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _spread(target, source, n_rows, stride, pitch):
+    """Add to each pixel of the target those of the source that lie 0 and ``stride / 2`` above and to the left.
+
+    The source's first row lies ``stride / 2`` above the target's. An image of stride s keeps the columns c of equal
+    ``c % s`` together: such a row is s stretches, in each of which the pixels of blocks are neighbours.
+    """
+    half = stride // 2
+    n = _U(4 * (pitch // (4 * stride)))
+    for row in range(n_rows):
+        above = _U(row * pitch)
+        here = _U((row + half) * pitch)
+        out = _U(row * pitch)
+        for phase in range(stride):
+            # Column s i + phase lies at i of its stretch; in the target at 2 i + phase // half of stretch phase % half.
+            own = _U(phase) * n
+            beside = _U((phase + half) % stride) * n
+            back = _U(0) if phase >= half else _U(4)
+            o = out + _U(phase % half) * (n + n) + _U(4 * (phase // half))
+            if back:
+                store(target, o, add(load(target, o), add(load(source, here + own), load(source, above + own))))
+            for k in range(back, n, _U(4)):
+                i, j = own + k, beside + k - back
+                left = add(load(source, here + i), load(source, above + i))
+                right = add(load(source, here + j), load(source, above + j))
+                store(target, o + k + k, add(load(target, o + k + k), add(left, right)))
+
+
+# fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows):
+    """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
+
+    Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
+    the same is done again, and single pixels are added last. All of it happens in bands of rows that stay in a core's
+    cache. Bands are independent (each row is summed in the order of the runs), so the result is the same for any number
+    of threads.
+
+    Parameters
+    ----------
+    image : ndarray of shape (rows, cols * 4), float32
+        Overwritten; cols is a multiple of 4.
+    levels : tuple of three (radiance, runs, row_start)
+        For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
+        (rows + 1,), int64, where the runs of each row of the image begin.
+    offsets : ndarray of shape (3, n_points), int64
+        See `point_offsets`.
+    points : tuple of four ndarrays
+        ``point_start``; and ``first``, ``base``, ``reach`` of `rows_of_points`.
+    value : ndarray of shape (n_points, 1) or (n_points, 4), float32
+        For all channels, or for each of R, G, B and alpha.
+    canvas : tuple of four ints
+        Row and column, in the frame, of the image's first pixel (the column fits all strides: it differs from those of
+        blocks by multiples of 4); ``4 * cols``; the largest reach.
+    scratch : ndarray of shape (threads, 2, band_rows + 3, cols * 4), float32
+    band_rows : int
+        Height of a band.
+    """
+    rows, pitch = image.shape
+    # Tuples of unlike arrays cannot enter a parallel loop whole.
+    (colour_1, runs_1, start_1), (colour_2, runs_2, start_2), (colour_4, runs_4, start_4) = levels
+    point_start, first, base, reach = points
+    top, left, _, farthest = canvas
+    for band in numba.prange((rows + band_rows - 1) // band_rows):
+        begin = band * band_rows
+        n_rows = min(band_rows, rows - begin)
+        table = point_start, first, base, reach
+        place = top, left, pitch, farthest
+        target = image[begin : begin + n_rows].reshape(n_rows * pitch)
+        target[:] = np.float32(0.0)
+        level_2, level_4 = (colour_2, runs_2, start_2), (colour_4, runs_4, start_4)
+        first_2, end_2 = _runs_near(level_2, begin - 1, n_rows + 1, farthest)
+        first_4, end_4 = _runs_near(level_4, begin - 3, n_rows + 3, farthest)
+        if first_2 < end_2 or first_4 < end_4:
+            own = numba.get_thread_id()
+            twos = scratch[own, 1].reshape(scratch.shape[2] * pitch)
+            twos[: (n_rows + 1) * pitch] = np.float32(0.0)
+            if first_4 < end_4:
+                fours = scratch[own, 0].reshape(scratch.shape[2] * pitch)
+                fours[: (n_rows + 3) * pitch] = np.float32(0.0)
+                _draw_rows(fours, begin - 3, n_rows + 3, level_4, 4, offsets[2], table, value, place)
+                _spread(twos, fours, n_rows + 1, 4, pitch)
+            _draw_rows(twos, begin - 1, n_rows + 1, level_2, 2, offsets[1], table, value, place)
+            _spread(target, twos, n_rows, 2, pitch)
+        _draw_rows(target, begin, n_rows, (colour_1, runs_1, start_1), 1, offsets[0], table, value, place)
+
+
+@numba.njit(cache=True, fastmath=False)
+def _first_point(row, begin, end, wanted):
+    """Return the first point of [begin, end) whose row is at least ``wanted``; the rows are sorted."""
+    while begin < end:
+        middle = (begin + end) // 2
+        if row[middle] < wanted:
+            begin = middle + 1
+        else:
+            end = middle
+    return begin
+
+
+@numba.njit(cache=True, fastmath=False)
+def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
+    """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
+    span_row, span_col, span_start = spans
+    begin, end = bounds
+    if n >= LONG_RUN:
+        for span in range(begin, end):
+            o = _U(target + 4 * (span_row[span] * cols + span_col[span]))
+            for p in range(_U(4 * span_start[span]), _U(4 * span_start[span + 1]), _U(4)):
+                weight = load(value, p)
+                for k in range(_U(0), _U(4 * n), _U(4)):
+                    store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+                o += _U(4)
+        return
+    for pixel in range(n):
+        for k in range(len(tiled)):
+            tiled[k] = radiance[source + _U(4 * pixel + (k & 3))]
+        for span in range(begin, end):
+            o = _U(target + 4 * (pixel + span_row[span] * cols + span_col[span]))
+            first = _U(4 * span_start[span])
+            for k in range(_U(4 * (span_start[span + 1] - span_start[span]))):
+                image[o + _U(k)] += value[first + _U(k)] * tiled[_U(k)]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
+    """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_levels`.
+
+    Short runs are drawn pixel by pixel, each span of the PSF as one contiguous stretch; long ones point by point, each
+    point adding the run as one contiguous stretch.
+
+    Parameters
+    ----------
+    image : ndarray of shape (rows * cols * 4,), float32
+        Accumulated in place.
+    level : tuple of (radiance, runs, row_start)
+        As for `splat_levels`; the stride is 1.
+    spans : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
+        Row and column of each span's first point, rows ascending within a variant; where its points begin.
+    value : ndarray of shape (n_points * 4,), float32
+        Values of the points for R, G, B and alpha.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        The spans of each variant.
+    canvas : tuple of five ints
+        Row and column, in the frame, of the image's first pixel; cols; the largest row of a span, up or down; the most
+        points of a span.
+    band_rows : int
+        Height of a band.
+    """
+    radiance, runs, row_start = level
+    top, left, cols, reach, longest = canvas
+    span_row, span_col, span_start = spans
+    rows = row_start.shape[0] - 1
+    for band in numba.prange((rows + band_rows - 1) // band_rows):
+        begin_row = band * band_rows
+        end_row = min(begin_row + band_rows, rows)
+        tiled = np.empty(4 * longest, np.float32)
+        table = span_row, span_col, span_start
+        for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
+            row, length, variant = runs[i, 1] - top, runs[i, 3], runs[i, 4]
+            begin = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
+            end = _first_point(span_row, begin, span_of_variant[variant + 1], end_row - row)
+            if begin == end:
+                continue
+            source = _U(4) * _U(runs[i, 0])
+            target = 4 * (np.int64(row) * cols + runs[i, 2] - left)
+            _draw_direct_run(image, radiance, source, target, length, cols, table, value, (begin, end), tiled)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
+    """Filter: every pixel of a run sums what lies under its own PSF, each point one contiguous multiply-add.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H * W * 4,), float32
+        Accumulated in place; each pixel belongs to one run only.
+    radiance : ndarray of shape (rows * cols * 4,), float32
+        Padded input.
+    runs : ndarray of shape (n_runs, 5), int32
+        The receiving pixels; the target row and column are those of the pixel in the padded input.
+    point_offset : ndarray of shape (n_points,), int64
+        Offset of each point in floats of the padded input.
+    value : ndarray of shape (n_points, 1) or (n_points, 4), float32
+        The PSF's pixels, for all channels or for each.
+    point_start : ndarray of shape (n_variants + 1,), int64
+    cols : int
+        Width of the padded input, px.
+    """
+    for i in numba.prange(runs.shape[0]):
+        variant = runs[i, 4]
+        target = _U(4) * _U(runs[i, 0])
+        centre = 4 * (np.int64(runs[i, 1]) * cols + runs[i, 2])
+        n = _U(4) * _U(runs[i, 3])
+        for p in range(point_start[variant], point_start[variant + 1]):
+            source = _U(centre + point_offset[p])
+            if value.shape[1] == 1:
+                weight = value[p, 0]
+                for k in range(n):
+                    image[target + _U(k)] += weight * radiance[source + _U(k)]
+            else:
+                weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
+                for k in range(_U(0), n, _U(4)):
+                    change = multiply(weight, load(radiance, source + k))
+                    store(image, target + k, add(load(image, target + k), change))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def sum_rows(image):
+    """Replace an image (rows, cols, 4), float32, by its running sums along rows, in place."""
+    for row in numba.prange(image.shape[0]):
+        total = np.zeros(4, np.float64)
+        for col in range(image.shape[1]):
+            for c in range(4):
+                total[c] += image[row, col, c]
+                image[row, col, c] = total[c]

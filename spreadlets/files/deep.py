@@ -1,0 +1,336 @@
+"""Deep images: any number of samples behind each other in a pixel, points and volumes, and their depth layers.
+
+Samples are read as OpenEXR's "Interpreting OpenEXR Deep Pixels" says: colours are premultiplied, Z is where a sample
+begins, ZBack where it ends, and a volume's light is absorbed and emitted evenly along its length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import OpenEXR
+
+from spreadlets.errors import InvalidFrameError, InvalidParameterError
+from spreadlets.files._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, collect_layers, seam_lengths, tidy_pixels
+from spreadlets.files.exr_chunks import DeepPart
+from spreadlets.files.exr_parts import MAX_VALUES, PathLike, Window, atomic_path, library_messages
+from spreadlets.scene.frame import ALPHA_TOLERANCE, FloatArray, Frame
+
+DEFAULT_LAYERS = 8
+"""Most depth layers that are made of a deep image unless the caller says otherwise: each costs memory for a frame."""
+
+CUT_BINS = 2048
+"""Places, evenly spaced in 1 over the depth, where layers may be cut."""
+
+SEAM_PRICE = 0.5
+"""Pairs of samples that a cut must part for each sample that it parts from a neighbour."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeepImage:
+    """Samples of a deep image, pixel by pixel.
+
+    Attributes
+    ----------
+    counts : ndarray of shape (H, W), int64
+        Samples in each pixel.
+    radiance : ndarray of shape (N, 4), float32
+        Premultiplied linear RGB and alpha of each sample by itself, in the pixels' row-major order.
+    depth, depth_back : ndarray of shape (N,), float32
+        Where the sample begins and ends, planar metres; equal for a surface.
+    motion : ndarray of shape (N, 2), float32, or None
+        px per frame, y down, forward.
+    """
+
+    counts: npt.NDArray[np.int64]
+    radiance: FloatArray
+    depth: FloatArray
+    depth_back: FloatArray
+    motion: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = int(self.counts.sum())
+        shapes = {"radiance": (n, 4), "depth": (n,), "depth_back": (n,)}
+        shapes |= {} if self.motion is None else {"motion": (n, 2)}
+        for name, shape in shapes.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise InvalidFrameError(f"{name} has shape {found}; the counts ask for {shape}")
+        for (name, what), bad in _problems(self.radiance, self.depth, self.depth_back, self.motion).items():
+            pixel = int(np.searchsorted(np.cumsum(self.counts), int(np.argmax(bad)), side="right"))
+            row, col = divmod(pixel, self.counts.shape[1])
+            raise InvalidFrameError(
+                f"{name} is {what} at {np.count_nonzero(bad)} of {bad.size} deep samples, first at "
+                f"(row {row}, col {col})"
+            )
+
+    def tidy(self) -> DeepImage:
+        """Return the image with samples sorted, split where others begin or end, and coinciding ones merged.
+
+        Returns
+        -------
+        DeepImage
+            In each pixel samples are nearest first and do not overlap.
+
+        Notes
+        -----
+        "Interpreting OpenEXR Deep Pixels", making an image tidy.
+        """
+        table, start = self._table(), self._start()
+        out = np.empty((3 * len(table), table.shape[1]))
+        counts = np.empty(self.counts.size, np.int64)
+        tidy_pixels(start, table, out, counts)
+        return self._of(out, 3 * start, counts)
+
+    def layers(self, max_layers: int = DEFAULT_LAYERS) -> Frame:
+        """Return a frame of depth layers, nearest first.
+
+        The image is cut at few depths, the same for all pixels, so that what lies behind each other in a pixel comes
+        into different layers, and what is one surface is seldom cut; see `layer_cuts`.
+
+        Parameters
+        ----------
+        max_layers : int
+            Most layers, at least 1.
+
+        Returns
+        -------
+        Frame
+            Samples of a pixel that share a layer are composited; depth and motion are means by visible alpha, the depth
+            of a volume is its middle. Composited nearest over farthest, the layers give the flattened image.
+
+        Raises
+        ------
+        InvalidParameterError
+            If `max_layers` is less than 1, or the layers would take too much memory.
+        """
+        if max_layers < 1:
+            raise InvalidParameterError(f"max_layers is {max_layers}; it must be at least 1")
+        tidy = self.tidy()
+        table, start = tidy._table(), tidy._start()
+        inverse = 2 / (table[:, FRONT] + table[:, BACK])
+        cuts = layer_cuts(inverse, start, self.counts.shape[1], max_layers)
+        layer = (inverse[:, None] < cuts).sum(axis=1)
+        shape = len(cuts) + 1, self.counts.size, table.shape[1]
+        if math.prod(shape) > MAX_VALUES:
+            raise InvalidParameterError(
+                f"{shape[0]} layers hold {math.prod(shape)} values; at most {MAX_VALUES} are made"
+            )
+        out = np.zeros(shape, np.float32)
+        out[..., FRONT] = out[..., BACK] = np.inf
+        collect_layers(start, table, layer, out)
+        return Frame.from_layers([self._layer(values) for values in out])
+
+    def _layer(self, values: FloatArray) -> Frame:
+        """Return one layer of the table that `collect_layers` fills."""
+        values = values.reshape(*self.counts.shape, -1)
+        radiance = np.concatenate([values[..., COLOUR:LABELS], values[..., ALPHA, None]], axis=2)
+        depth = 0.5 * values[..., FRONT] + 0.5 * values[..., BACK]
+        return Frame(radiance, depth, None if self.motion is None else values[..., LABELS:])
+
+    def _table(self) -> npt.NDArray[np.float64]:
+        """Return the samples as the kernels take them: front, back, alpha, colour, labels."""
+        alpha = np.clip(self.radiance[:, 3:], 0, 1)
+        motion = [] if self.motion is None else [self.motion]
+        columns = [self.depth[:, None], self.depth_back[:, None], alpha, self.radiance[:, :3], *motion]
+        return np.concatenate(columns, axis=1).astype(np.float64)
+
+    def _start(self) -> npt.NDArray[np.int64]:
+        return np.concatenate([[0], np.cumsum(self.counts)]).astype(np.int64)
+
+    def _of(self, table: npt.NDArray[np.float64], start: npt.NDArray[np.int64], counts: Any) -> DeepImage:
+        """Return the image of the first samples of each pixel in a table."""
+        within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        kept = table[np.repeat(start[:-1], counts) + within].astype(np.float32)
+        return DeepImage(
+            counts.reshape(self.counts.shape),
+            np.concatenate([kept[:, COLOUR:LABELS], kept[:, ALPHA, None]], axis=1),
+            kept[:, FRONT],
+            kept[:, BACK],
+            None if self.motion is None else kept[:, LABELS:],
+        )
+
+
+def _problems(
+    radiance: FloatArray, depth: FloatArray, depth_back: FloatArray, motion: FloatArray | None
+) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
+    """Return which samples are bad, by the name of the array and what is wrong."""
+    alpha = radiance[:, 3]
+    checks: dict[tuple[str, str], Any] = {
+        ("radiance", "not finite"): ~np.isfinite(radiance).all(axis=1),
+        ("alpha", "outside 0 to 1"): (alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE),
+        ("depth", "NaN, zero or negative"): ~(depth > 0),
+        ("depth_back", "NaN or nearer than the depth"): ~(depth_back >= depth),
+        ("depth_back", "infinite behind a finite depth"): np.isinf(depth_back) & np.isfinite(depth),
+    }
+    if motion is not None:
+        checks["motion", "not finite"] = ~np.isfinite(motion).all(axis=1)
+    return {name: bad for name, bad in checks.items() if bad.any()}
+
+
+def layer_cuts(
+    inverse: npt.NDArray[np.float64], start: npt.NDArray[np.int64], width: int, max_layers: int
+) -> npt.NDArray[np.float64]:
+    """Choose the depths at which a deep image is cut into layers.
+
+    Parameters
+    ----------
+    inverse : ndarray of shape (N,), float64
+        1 over the depth of each sample, descending within a pixel.
+    start : ndarray of shape (n_pixels + 1,), int64
+        First sample of each pixel.
+    width : int
+        Pixels in a row of the image.
+    max_layers : int
+        One more than the most cuts.
+
+    Returns
+    -------
+    ndarray of shape (n,), float64
+        Descending in 1 over the depth.
+
+    Notes
+    -----
+    A cut gains the pairs of neighbouring samples of a pixel that it is the first to part, and costs the seams that it
+    makes: samples that it parts from the nearest in depth of those in the next pixel. The best cut is taken, one after
+    the other, until none gains more than it costs. Our own; renderers' layers, made by object, are the model.
+    """
+    low, high = (float(inverse.min()), float(inverse.max())) if len(inverse) else (0.0, 0.0)
+    if not high > low:
+        return np.zeros(0)
+    bins = np.minimum((inverse - low) / (high - low) * CUT_BINS, CUT_BINS - 1).astype(np.int64)
+    seam = np.zeros(CUT_BINS + 1)
+    seam_lengths(start, bins, width, seam)
+    cost = SEAM_PRICE * np.cumsum(seam)
+    pixel = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    together = pixel[1:] == pixel[:-1]
+    near, far = bins[:-1][together], bins[1:][together]
+    cuts: list[int] = []
+    while len(cuts) < max_layers - 1:
+        gain = np.bincount(far + 1, minlength=CUT_BINS + 1) - np.bincount(near + 1, minlength=CUT_BINS + 1)
+        score = np.cumsum(gain) - cost
+        best = _middle_of_best(score)
+        if score[best] <= 0:
+            break
+        cuts.append(best)
+        parted = (far < best) & (near >= best)
+        near, far = near[~parted], far[~parted]
+    return low + np.array(sorted(cuts, reverse=True)) / CUT_BINS * (high - low)
+
+
+def _middle_of_best(score: npt.NDArray[np.float64]) -> int:
+    """Return the middle of the first run of largest values."""
+    first = int(np.argmax(score))
+    others = np.flatnonzero(score[first:] != score[first])
+    return first + (int(others[0]) if len(others) else len(score) - first) // 2
+
+
+# --- Files ---------------------------------------------------------------------------------------------------------
+
+
+def write_deep(path: PathLike, image: DeepImage) -> None:
+    """Write a deep image as scanlines, which every program can read; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Where to write; an existing file is replaced.
+    image : DeepImage
+        Stored as 32-bit floats R, G, B, A, Z, ZBack and, if it has motion, motion.x, motion.y.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file cannot be written.
+    """
+    values = {name: image.radiance[:, index] for index, name in enumerate("RGBA")}
+    values |= {"Z": image.depth, "ZBack": image.depth_back}
+    if image.motion is not None:
+        values |= {"motion.x": image.motion[:, 0], "motion.y": image.motion[:, 1]}
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    with atomic_path(path, ".exr") as temporary, library_messages():
+        OpenEXR.File(header, {name: _pixels(flat, image.counts) for name, flat in values.items()}).write(str(temporary))
+
+
+def deep_image(
+    part: DeepPart,
+    data: Window,
+    display: Window,
+    names: Mapping[str, Sequence[str]],
+    *,
+    to_planar: Callable[[FloatArray, npt.NDArray[np.int64]], FloatArray],
+    to_motion: Callable[[FloatArray], FloatArray],
+    unpremultiplied: bool = False,
+    repair: bool = False,
+) -> tuple[DeepImage, int]:
+    """Return the samples of a part of a deep file, in the display window; what adds nothing is left out.
+
+    Parameters
+    ----------
+    part : DeepPart
+        Samples in the data window.
+    data, display : Window
+        The part's windows.
+    names : mapping of str to sequence of str
+        The channels that are colour (with alpha), depth, and motion, if there is any; ZBack beside the depth is found.
+    to_planar : callable
+        Makes planar metres of stored depths and the pixels of the display window that they are in.
+    to_motion : callable
+        Makes px per frame of motion channels, (N, n) to (N, 2).
+    unpremultiplied : bool
+        Multiply the colours by alpha.
+    repair : bool
+        Drop invalid samples instead of raising.
+
+    Returns
+    -------
+    image : DeepImage
+    dropped : int
+        How many invalid samples were dropped.
+    """
+    shape = display.height, display.width
+    pixel = _display_pixels(part, data, display)
+    shown = pixel >= 0
+    radiance = np.stack([part.channels[name] for name in names["colour"]], axis=1)
+    if unpremultiplied:
+        radiance[:, :3] *= radiance[:, 3:]
+    (depth_name,) = names["depth"]
+    ends = [
+        to_planar(part.channels[name], pixel) for name in (depth_name, depth_name + "Back") if name in part.channels
+    ]
+    depth, depth_back = (
+        np.minimum(ends[0], ends[-1]),
+        np.maximum(ends[0], ends[-1]),
+    )  # 1 over the depth turns them round
+    motion = None
+    if "motion" in names:
+        motion = to_motion(np.stack([part.channels[name] for name in names["motion"]], axis=1))
+    visible = shown & (radiance != 0).any(axis=1)
+    bad = np.zeros(len(depth), np.bool_)
+    if repair:
+        bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
+    kept = visible & ~bad
+    counts = np.bincount(pixel[kept], minlength=shape[0] * shape[1]).reshape(shape)
+    labels = None if motion is None else motion[kept]
+    return DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], labels), int(np.count_nonzero(bad))
+
+
+def _display_pixels(part: DeepPart, data: Window, display: Window) -> npt.NDArray[np.int64]:
+    """Return the pixel of the display window that each sample is in, -1 outside."""
+    row = np.arange(data.height)[:, None] + data.top - display.top
+    col = np.arange(data.width)[None, :] + data.left - display.left
+    inside = (row >= 0) & (row < display.height) & (col >= 0) & (col < display.width)
+    return np.repeat(np.where(inside, row * display.width + col, -1).ravel(), part.counts.ravel())
+
+
+def _pixels(flat: FloatArray, counts: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+    """Return a channel as the binding takes it: an array of an array for each pixel."""
+    pixels = np.empty(counts.size, object)
+    for index, values in enumerate(np.split(np.ascontiguousarray(flat, np.float32), np.cumsum(counts)[:-1])):
+        pixels[index] = values
+    return pixels.reshape(counts.shape)

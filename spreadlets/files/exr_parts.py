@@ -1,0 +1,290 @@
+"""OpenEXR files as named channels: every part read whole and checked, or written whole; no meaning is attached here.
+
+What the channels mean is told by `spreadlets.files.conventions` and `spreadlets.files.recognise`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import secrets
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import OpenEXR
+
+from spreadlets.errors import InvalidFileError
+from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
+from spreadlets.scene.frame import FloatArray
+
+PathLike = str | os.PathLike[str]
+
+MAX_VALUES = 1 << 30
+"""Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
+
+FLOAT_BYTES = 4
+
+LEAST_BYTES = 2
+"""Of a stored value: a half."""
+
+EXPANSION: Mapping[Any, int] = {
+    OpenEXR.NO_COMPRESSION: 1,
+    OpenEXR.RLE_COMPRESSION: 64,
+    OpenEXR.ZIPS_COMPRESSION: 1032,
+    OpenEXR.ZIP_COMPRESSION: 1032,
+    OpenEXR.PXR24_COMPRESSION: 2064,
+}
+"""Most values of a byte that one stored byte can stand for: runs of 128 in 2 bytes; deflate's 1032, twice that where
+the library drops a byte first. The other compressions have no useful bound."""
+
+LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
+"""What the OpenEXR binding raises on files and headers that it cannot handle."""
+
+_STDERR_DESCRIPTOR = 2
+_STDERR_LOCK = threading.Lock()
+
+
+class Window(NamedTuple):
+    """A pixel rectangle: left column, top row, width, height."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """One channel's pixels where the file stores them."""
+
+    pixels: npt.NDArray[Any]
+    window: Window
+    sampling: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part of a file: its channels by the names that they have in the file."""
+
+    name: str
+    planes: Mapping[str, Plane]
+    display: Window
+    view: str
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """The channels of a file, or of one layer part, by their full names."""
+
+    path: PathLike
+    planes: Mapping[str, Plane]
+    display: Window
+
+    def problem(self, what: str, option: str) -> InvalidFileError:
+        """Return an error that lists the channels and names the option that settles the matter."""
+        found = ", ".join(sorted(self.planes)) or "none"
+        return InvalidFileError(f"{self.path}: {what}; name it with {option}. Channels found: {found}")
+
+
+# --- Reading -------------------------------------------------------------------------------------------------------
+
+
+def merged(path: PathLike, parts: Sequence[Part]) -> Image:
+    """Return all parts' channels in one; in a file of several parts the part's name leads, if it does not already."""
+    planes: dict[str, Plane] = {}
+    for part in parts:
+        for name, plane in part.planes.items():
+            bare = len(parts) == 1 or not part.name or name.startswith(part.name + ".")
+            planes[name if bare else f"{part.name}.{name}"] = plane
+    return Image(path, planes, parts[0].display)
+
+
+def read_parts(path: PathLike) -> list[Part]:
+    """Return every channel of a flat file as stored, after checking what the header promises."""
+    headers = read_headers(path)
+    check_headers(path, headers)
+    check_chunks(path)
+    file, messages = _open(path, header_only=False)
+    parts = [
+        Part(
+            part.name(),
+            {
+                name: Plane(channel.pixels, window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
+                for name, channel in part.channels.items()
+            },
+            window(part.header["displayWindow"]),
+            str(part.header.get("view", "")),
+        )
+        for part in file.parts
+    ]
+    # The binding skips parts that it fails to decode.
+    if len(parts) < len(headers) or not all(part.planes for part in parts):
+        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
+    return parts
+
+
+def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
+    """Return the header of each part; no pixel is read. Raises InvalidFileError if the file is missing or malformed."""
+    if not os.path.isfile(path):
+        raise InvalidFileError(f"{path}: there is no such file")
+    file, _ = _open(path, header_only=True)
+    check_structure(path)
+    headers = [part.header for part in file.parts]
+    try:
+        for header in headers:
+            [channel.name for channel in header["channels"]]  # the binding decodes them when they are asked for
+    except UnicodeDecodeError:
+        raise InvalidFileError(f"{path}: a channel's name is not text") from None
+    return headers
+
+
+def is_deep(header: Mapping[str, Any]) -> bool:
+    """Tell whether a part's header is that of a deep image."""
+    return header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile)
+
+
+def _open(path: PathLike, *, header_only: bool) -> tuple[Any, list[str]]:
+    """Return the binding's file object and what the library printed."""
+    messages: list[str] = []
+    try:
+        with library_messages() as messages:
+            return OpenEXR.File(os.fspath(path), separate_channels=True, header_only=header_only), messages
+    except LIBRARY_ERRORS as error:
+        raise InvalidFileError(
+            f"{path}: is not a readable OpenEXR file{_detail(path, messages or [str(error)])}"
+        ) from None
+
+
+def _detail(path: PathLike, messages: Sequence[str]) -> str:
+    """Return the library's first message, in brackets, without the path that it starts with."""
+    return f" ({messages[0].removeprefix(f'{path}: ')})" if messages else ""
+
+
+@contextlib.contextmanager
+def library_messages() -> Iterator[list[str]]:
+    """Collect what the OpenEXR library prints on failure, so that it goes into the error instead of the terminal.
+
+    The C library writes to the process's standard error and the binding to Python's standard output; neither can be
+    switched off. The list is filled when the block ends.
+    """
+    messages: list[str] = []
+    with _STDERR_LOCK, tempfile.TemporaryFile() as log, contextlib.redirect_stdout(io.StringIO()):
+        saved = os.dup(_STDERR_DESCRIPTOR)
+        os.dup2(log.fileno(), _STDERR_DESCRIPTOR)
+        try:
+            yield messages
+        finally:
+            os.dup2(saved, _STDERR_DESCRIPTOR)
+            os.close(saved)
+            log.seek(0)
+            messages += log.read().decode(errors="replace").splitlines()
+
+
+def check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], *, deep: bool = False) -> None:
+    """Raise InvalidFileError before any pixel is read if a file is larger than `MAX_VALUES`, or deep if not allowed."""
+    total = stored = 0
+    for header in headers:
+        if is_deep(header) and not deep:
+            raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read here")
+        if header.get("type") == OpenEXR.deeptile:
+            raise InvalidFileError(f"{path}: holds deep tiles; only deep scanlines can be read")
+        data, display = window(header["dataWindow"]), window(header["displayWindow"])
+        if min(*data[2:], *display[2:]) < 1:
+            raise InvalidFileError(f"{path}: has an empty window")
+        if display != window(headers[0]["displayWindow"]):
+            raise InvalidFileError(f"{path}: its parts have different display windows")
+        total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
+        if not is_deep(header):
+            stored += _least_stored(header, data)
+    if any(is_deep(header) for header in headers):
+        total += deep_sample_bytes(path) // FLOAT_BYTES
+    if total > MAX_VALUES:
+        raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
+    if stored > os.path.getsize(path):
+        raise InvalidFileError(f"{path}: is too short for the {total} values that it promises: truncated or corrupt")
+
+
+def _least_stored(header: Mapping[str, Any], data: Window) -> int:
+    """Return the fewest bytes that a flat part can take in a file."""
+    expansion = EXPANSION.get(header.get("compression"))
+    if expansion is None:
+        return 0
+    values = sum(data.width * data.height // (each.xSampling * each.ySampling) for each in header["channels"])
+    return int(values) * LEAST_BYTES // expansion
+
+
+def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:
+    """Return an OpenEXR box, whose maximum is inclusive, as left, top, width, height."""
+    (left, top), (right, bottom) = ((int(x), int(y)) for x, y in box)
+    return Window(left, top, right - left + 1, bottom - top + 1)
+
+
+# --- Channels to arrays --------------------------------------------------------------------------------------------
+
+
+def check_same_window(image: Image, names: Sequence[str]) -> None:
+    """Raise InvalidFileError unless the channels have every pixel of one common window."""
+    first = image.planes[names[0]]
+    for name in names:
+        plane = image.planes[name]
+        if plane.sampling != (1, 1):
+            raise InvalidFileError(f"{image.path}: channel {name} is subsampled; every pixel needs a value")
+        if plane.window != first.window or plane.pixels.shape != (plane.window.height, plane.window.width):
+            raise InvalidFileError(
+                f"{image.path}: channel {name} covers {plane.window.width} x {plane.window.height} px at "
+                f"({plane.window.left}, {plane.window.top}), channel {names[0]} {first.window.width} x "
+                f"{first.window.height} px at ({first.window.left}, {first.window.top}); they must agree"
+            )
+
+
+def gather(image: Image, names: Sequence[str]) -> FloatArray:
+    """Return channels as (H, W, n) float32 in the display window, zero where the data window does not reach."""
+    display = image.display
+    result = np.zeros((display.height, display.width, len(names)), np.float32)
+    for index, name in enumerate(names):
+        plane = image.planes[name]
+        target, source = overlap(display, plane.window)
+        result[(*target, index)] = plane.pixels[source]
+    return result
+
+
+def overlap(display: Window, data: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the rows and columns that two windows share, counted in the one and in the other."""
+    left, right = max(display.left, data.left), min(display.left + display.width, data.left + data.width)
+    top, bottom = max(display.top, data.top), min(display.top + display.height, data.top + data.height)
+    right, bottom = max(left, right), max(top, bottom)
+    shared = [(slice(top - w.top, bottom - w.top), slice(left - w.left, right - w.left)) for w in (display, data)]
+    return shared[0], shared[1]
+
+
+# --- Writing -------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
+    """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
+    target = Path(os.path.realpath(path))
+    if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise
+        raise InvalidFileError(f"{path}: cannot be written: it exists and is not a regular file")
+    if not os.path.isdir(target.parent):
+        raise InvalidFileError(f"{path}: cannot be written: there is no folder {target.parent}")
+    temporary = target.with_name(f".spreadlets-{secrets.token_hex(8)}{suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    except (OSError, *LIBRARY_ERRORS) as error:
+        raise InvalidFileError(f"{path}: cannot be written: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def part_header() -> dict[str, Any]:
+    """Return the header attributes that every flat part is written with."""
+    return {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -1,0 +1,150 @@
+"""Sample buffers as files: OpenEXR with one part per sample, and TLFR buffers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+import numpy as np
+import OpenEXR
+
+from spreadlets.errors import InvalidFileError, InvalidFrameError
+from spreadlets.files.exr_parts import (
+    Image,
+    PathLike,
+    atomic_path,
+    check_same_window,
+    gather,
+    library_messages,
+    overlap,
+    part_header,
+    read_parts,
+)
+from spreadlets.files.tlfr import HEADER_SUFFIX, read_tlfr
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import BoolArray, FloatArray
+from spreadlets.scene.samples import SampleBuffer
+
+CHANNELS: Mapping[str, tuple[str, ...]] = {
+    "depth": ("Z",),
+    "motion": ("motion.x", "motion.y"),
+    "lens_uv": ("lens.u", "lens.v"),
+    "time": ("time",),
+    "offset": ("offset.x", "offset.y"),
+    "coc_radius": ("coc",),
+    "motion_prev": ("motion_prev.x", "motion_prev.y"),
+    "motion_next": ("motion_next.x", "motion_next.y"),
+}
+"""A part's channels by the label that they hold; colours are R, G, B and, unless all are opaque, A."""
+
+NEEDED = ("R", "G", "B", "Z", "motion.x", "motion.y", "lens.u", "lens.v", "time")
+VALID = "valid"
+"""Channel that is 0 where a pixel has no such sample; it is there only if some pixel lacks one."""
+
+
+def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool = False) -> SampleBuffer:
+    """Read a buffer of labelled samples.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file with one part per sample and the channels R, G, B, Z (planar metres), motion.x, motion.y (px
+        per frame, y down, forward), lens.u, lens.v, time (frames from the frame's time) and, optionally, A, offset.x,
+        offset.y, coc, motion_prev.x/.y, motion_next.x/.y, valid. Or a TLFR buffer, told by the file ``PATH.header``
+        beside it, see `tlfr.read_tlfr`.
+    camera : ThinLens, optional
+        Only TLFR buffers need it: their times are shares of its shutter.
+    repair : bool
+        Drop invalid samples instead of raising, see `SampleBuffer`.
+
+    Returns
+    -------
+    SampleBuffer
+        In the file's display window; samples outside the data window are missing.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file cannot be read, or a part lacks a channel.
+    InvalidFrameError
+        If the values are invalid.
+    """
+    name = os.fspath(path).removesuffix(HEADER_SUFFIX)
+    try:
+        if os.path.isfile(name + HEADER_SUFFIX):
+            return read_tlfr(name, shutter=None if camera is None else camera.shutter, repair=repair)
+        return _read_exr(path, repair)
+    except InvalidFrameError as error:
+        raise InvalidFrameError(f"{path}: {error}") from None
+
+
+def write_samples(path: PathLike, samples: SampleBuffer) -> None:
+    """Write a buffer of samples as OpenEXR so that `read_samples` gives it back; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Where to write; an existing file is replaced.
+    samples : SampleBuffer
+        Stored as 32-bit floats, one part per sample.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file cannot be written.
+    """
+    opaque = bool(((samples.radiance[..., 3] == 1) | ~samples.valid).all())
+    colours = "RGB" if opaque else "RGBA"
+    parts = []
+    for index in range(samples.n_samples):
+        channels = {name: samples.radiance[:, :, index, axis] for axis, name in enumerate(colours)}
+        for label, values in samples.labels.items():
+            planes = np.atleast_3d(values[:, :, index])
+            channels |= {name: planes[..., axis] for axis, name in enumerate(CHANNELS[label])}
+        if not samples.valid.all():
+            channels[VALID] = samples.valid[:, :, index].astype(np.float32)
+        stored = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+        parts.append(OpenEXR.Part({**part_header(), "name": f"sample{index}"}, stored))
+    with atomic_path(path, ".exr") as temporary, library_messages():
+        OpenEXR.File(parts).write(str(temporary))
+
+
+def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
+    """Return the samples of an OpenEXR file, one per part."""
+    images = {part.name: Image(path, part.planes, part.display) for part in read_parts(path)}
+    for name, image in images.items():
+        missing = [channel for channel in NEEDED if channel not in image.planes]
+        if missing:
+            raise InvalidFileError(
+                f"{path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
+                f"Channels found: {', '.join(sorted(image.planes))}"
+            )
+    first = next(iter(images.values()))
+    colours = ("R", "G", "B", "A") if all("A" in image.planes for image in images.values()) else ("R", "G", "B")
+    there = [label for label, names in CHANNELS.items() if set(names) <= first.planes.keys()]
+    for image in images.values():
+        check_same_window(image, [*colours, *(name for label in there for name in CHANNELS[label])])
+    labels = {label: _stacked(images, CHANNELS[label]) for label in there}
+    scalars = [label for label in there if len(CHANNELS[label]) == 1]
+    labels |= {label: labels[label][..., 0] for label in scalars}
+    valid = np.stack([_there(image) for image in images.values()], axis=2)
+    return SampleBuffer(_stacked(images, colours), valid=valid, repair=repair, **labels)
+
+
+def _stacked(images: Mapping[str, Image], names: tuple[str, ...]) -> FloatArray:
+    """Return channels of all parts, (H, W, S, n)."""
+    display = next(iter(images.values())).display
+    result = np.empty((display.height, display.width, len(images), len(names)), np.float32)
+    for index, image in enumerate(images.values()):
+        result[:, :, index] = gather(image, names)
+    return result
+
+
+def _there(image: Image) -> BoolArray:
+    """Return where a part has samples: inside its data window, and where it does not say otherwise."""
+    if VALID in image.planes:
+        check_same_window(image, ["R", VALID])
+        return gather(image, (VALID,))[..., 0] > 0
+    inside = np.zeros((image.display.height, image.display.width), np.bool_)
+    inside[overlap(image.display, image.planes["R"].window)[0]] = True
+    return inside

@@ -1,0 +1,1 @@
+"""The stiff and extreme cases."""

@@ -1,0 +1,1 @@
+"""What is given: camera, frame, stochastic samples."""

@@ -1,0 +1,193 @@
+import numba
+import numpy as np
+import pytest
+
+from spreadlets.errors import InvalidParameterError
+from spreadlets.precompute.build.build import model_settings
+from spreadlets.precompute.models.aperture import Aperture, shutter_times
+from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.psf.model import PsfGrid, get_model
+
+L1_BUDGET = 0.01
+"""Relative L1 that a traced PSF may differ from the supersampled drawing."""
+
+RADIUS = 14.0
+
+SHAPES = {
+    "triangle": {"blades": 3, "rotation": 20.0},
+    "hexagon": {"blades": 6, "rotation": 12.0},
+    "curved": {"blades": 5, "blade_curvature": 0.5},
+    "cats eye": {"cats_eye": 0.7, "cats_eye_angle": 30.0},
+    "anamorphic": {"squeeze": 0.5},
+    "obstructed": {"obstruction": 0.5},
+    "dark rim": {"spherical_aberration": 0.4},
+    "bright rim": {"spherical_aberration": -0.4},
+    "all": {"blades": 7, "cats_eye": 0.4, "squeeze": 0.7, "spherical_aberration": 0.2, "obstruction": 0.3},
+}
+
+compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="millions of deposits need the compiled kernels")
+
+
+def inside(shape, u, v):
+    """Tell which points of the lens let light through: plain geometry, edge by edge."""
+    bright = u**2 + v**2 <= 1
+    blades = shape.get("blades", 0)
+    if blades:
+        distance = np.full(u.shape, -np.inf)
+        for k in range(blades):
+            normal = np.radians(shape.get("rotation", 0.0)) + (2 * k + 1) * np.pi / blades
+            distance = np.maximum(distance, (u * np.cos(normal) + v * np.sin(normal)) / np.cos(np.pi / blades))
+        # The polygon's edge in this direction lies at hypot / distance.
+        edge = np.hypot(u, v) / np.where(distance == 0, 1, distance)
+        curvature = shape.get("blade_curvature", 0.0)
+        bright &= np.hypot(u, v) <= (1 - curvature) * edge + curvature
+    if "cats_eye" in shape:
+        direction = np.radians(shape.get("cats_eye_angle", 0.0))
+        bright &= np.hypot(u - shape["cats_eye"] * np.cos(direction), v - shape["cats_eye"] * np.sin(direction)) <= 1
+    return bright & (np.hypot(u, v) >= shape.get("obstruction", 0.0))
+
+
+def drawn(shape, radius, path=(0.0, 0.0), weights=(1.0,), side=1, n=1600):
+    """Draw the lens point by point, moved along a path with the weights of the shutter's times."""
+    ticks = (np.arange(n) + 0.5) / n * 2 - 1
+    u, v = np.meshgrid(ticks, ticks)
+    lit = inside(shape, u, v)
+    u, v = u[lit], v[lit]
+    stretch = side * (1 + side * shape.get("spherical_aberration", 0.0) * (u**2 + v**2 - 1))
+    x, y = radius * shape.get("squeeze", 1.0) * stretch * u, radius * stretch * v
+    half = int(np.ceil(radius + np.hypot(*path) / 2 + 1))
+    edges = np.arange(-half - 0.5, half + 1)
+    still = path == (0.0, 0.0)
+    psf = np.zeros((2 * half + 1, 2 * half + 1))
+    for k, weight in enumerate(weights):
+        t = 0.0 if still else (k + 0.5) / len(weights) - 0.5
+        psf += weight * np.histogram2d(y + t * path[1], x + t * path[0], bins=(edges, edges))[0]
+    return psf / psf.sum()
+
+
+def relative_l1(psf, expected):
+    rows, cols = ((e - p) // 2 for e, p in zip(expected.shape, psf.shape, strict=False))
+    if rows < 0 or cols < 0:
+        expected = np.pad(expected, ((max(-rows, 0),) * 2, (max(-cols, 0),) * 2))
+    padded = np.pad(psf[..., 0], ((max(rows, 0),) * 2, (max(cols, 0),) * 2))
+    return np.abs(padded - expected).sum()
+
+
+def make(name, **options):
+    return get_model(name, settings=model_settings(name, options))
+
+
+@compiled
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("name", SHAPES)
+def test_aperture_is_that_of_the_supersampled_drawing(name, side):
+    psf = trace_psf(make("simplelens", **SHAPES[name]), [[RADIUS, RADIUS]], side=side)
+    assert relative_l1(psf, drawn(SHAPES[name], RADIUS, side=side)) < L1_BUDGET
+
+
+@compiled
+@pytest.mark.parametrize("name", SHAPES)
+def test_aperture_in_motion_is_that_of_the_supersampled_drawing(name):
+    psf = trace_psf(make("combined", **SHAPES[name]), [[9.0, 9.0], [20.0, 20.0]], direction=0.5)
+    path = (20.0 * np.cos(0.5), 20.0 * np.sin(0.5))
+    assert relative_l1(psf, drawn(SHAPES[name], 9.0, path, np.ones(160), n=400)) < L1_BUDGET
+
+
+@compiled
+@pytest.mark.parametrize(
+    "curve, weight",
+    [("trapezoid:0.5,0.2", lambda t: np.minimum(np.minimum(t / 0.5, (1 - t) / 0.2), 1)), ("0,3", np.array)],
+)
+def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
+    psf = trace_psf(make("combined", shutter_curve=curve), [[6.0, 6.0], [30.0, 30.0]], direction=2.2)
+    weights = weight((np.arange(240) + 0.5) / 240)
+    path = (30.0 * np.cos(2.2), 30.0 * np.sin(2.2))
+    assert relative_l1(psf, drawn({}, 6.0, path, weights, n=400)) < L1_BUDGET
+
+
+def pose_psf(grid, cell, coordinates, angle, in_front):
+    """Trace a PSF as the run time would draw it: a stored pose, turned by a symmetry of the lattice."""
+    number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle, in_front)
+    psf = trace_psf(grid.model, coordinates, direction=grid.directions(cell)[number], side=grid.side(cell, int(number)))
+    psf = psf.swapaxes(0, 1) if transpose else psf
+    return psf[:: -1 if flip_row else 1, :: -1 if flip_col else 1]
+
+
+@compiled
+@pytest.mark.parametrize("shape", ["triangle", "hexagon", "dark rim", "all"])
+@pytest.mark.parametrize("curve", [None, "0,3"])
+@pytest.mark.parametrize("angle", [0.3, 1.9, -2.6])
+@pytest.mark.parametrize("in_front", [False, True])
+def test_stored_poses_give_every_direction_on_both_sides(shape, curve, angle, in_front):
+    grid = PsfGrid.of(make("combined", shutter_curve=curve, **SHAPES[shape]))
+    cell = int(grid.find([6.0, 24.0]))
+    psf = pose_psf(grid, cell, [[6.0, 6.0], [24.0, 24.0]], angle, in_front)
+    weights = np.ones(120) if curve is None else (np.arange(120) + 0.5) / 120
+    path = (24.0 * np.cos(angle), 24.0 * np.sin(angle))
+    expected = drawn(SHAPES[shape], 6.0, path, weights, side=-1 if in_front else 1, n=300)
+    # Half a step of directions moves the tip by 0.75 px, over an edge of about a quarter of the area per px.
+    assert relative_l1(psf, expected) < 0.12
+
+
+@compiled
+def test_a_triangle_points_the_other_way_in_front_of_focus():
+    grid = PsfGrid.of(make("simplelens", **SHAPES["triangle"]))
+    cell = int(grid.find([RADIUS]))
+    behind, front = (pose_psf(grid, cell, [[RADIUS, RADIUS]], 0.0, side) for side in (False, True))
+    np.testing.assert_array_equal(front, behind[::-1, ::-1])
+    assert np.abs(front - behind).sum() > 0.5
+
+
+def test_round_and_even_is_the_plain_model():
+    assert model_settings("combined", {"blades": 0, "squeeze": 1.0}) == {}
+    assert make("combined") == get_model("combined")
+
+
+@pytest.mark.parametrize(
+    "options, arrow, lattice, sign",
+    [
+        ({"obstruction": 0.3}, False, True, "ignored"),
+        ({"blades": 6}, False, False, "ignored"),
+        ({"blades": 5}, False, False, "turned"),
+        ({"blades": 5, "blade_curvature": 1.0}, False, True, "ignored"),
+        ({"spherical_aberration": 0.1}, False, True, "stored"),
+        ({"shutter_curve": [1.0, 0.0]}, True, True, "ignored"),
+        ({"shutter_curve": "trapezoid:0.2,0.2"}, False, True, "ignored"),
+    ],
+)
+def test_symmetry_is_what_the_shape_leaves(options, arrow, lattice, sign):
+    symmetry = make("combined", **options).symmetry
+    assert (symmetry.arrow, symmetry.lattice, symmetry.sign) == (arrow, lattice, sign)
+
+
+def test_times_follow_the_curve():
+    u = (np.arange(100_000) + 0.5) / 100_000
+    found, _ = np.histogram(shutter_times(u, [0.0, 1.0]), bins=4, range=(-0.5, 0.5))
+    np.testing.assert_allclose(found / 100_000, [1 / 16, 3 / 16, 5 / 16, 7 / 16], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"blades": 2}, "blades is 2.*0 or 3 to"),
+        ({"blade_curvature": 1.5}, "0 to 1"),
+        ({"cats_eye": 2.0}, "no light is left"),
+        ({"cats_eye": 1.2, "obstruction": 0.99, "blades": 3, "rotation": 60.0}, "no light"),
+        ({"squeeze": 0.0}, "0.25 to 1"),
+        ({"spherical_aberration": 0.6}, "0.45"),
+        ({"obstruction": 1.0}, "below 1"),
+        ({"shutter_curve": "0,0"}, "not all 0"),
+        ({"shutter_curve": "a,b"}, "numbers separated by commas"),
+        ({"shutter_curve": "box:1,2"}, "trapezoid:RISE,FALL"),
+        ({"shutter_curve": "trapezoid:0.8,0.5"}, "at most 1"),
+    ],
+)
+def test_impossible_shapes_are_refused(options, message):
+    with pytest.raises(InvalidParameterError, match=message):
+        model_settings("combined", options)
+
+
+def test_options_of_other_models_are_refused():
+    with pytest.raises(InvalidParameterError, match="'simplelens' has no option 'shutter_curve'.*blades"):
+        model_settings("simplelens", {"shutter_curve": "1,1"})
+    assert Aperture().is_round

@@ -1,0 +1,40 @@
+import numpy as np
+from reference import disc_coverage
+
+from spreadlets.precompute.sparsify.annealing import anneal
+from spreadlets.precompute.sparsify.dart_throwing import throw_darts
+from spreadlets.precompute.sparsify.green import reconstruct
+from spreadlets.precompute.sparsify.lloyd import collapse
+from spreadlets.psf.laplacian import laplacian
+
+
+def start(radius=9.0, n_target=40):
+    psf = np.pad(disc_coverage(radius), 3)[..., None]
+    field = laplacian(psf)[1:-1, 1:-1]
+    points = throw_darts(np.abs(field).max(axis=2), n_target, np.random.default_rng(0))
+    return psf, field, points
+
+
+def l1(psf, field, points):
+    dense = reconstruct(points - np.array(psf.shape[:2]) // 2, collapse(field, points), psf.shape[:2])
+    return np.abs(dense - psf).sum() / psf.sum()
+
+
+def test_annealing_lowers_the_error_and_longer_annealing_no_less():
+    psf, field, points = start()
+    errors = [l1(psf, field, anneal(psf, field, points, np.random.default_rng(0), n)) for n in (0, 60, 400)]
+    assert errors[1] < errors[0]
+    assert errors[2] < errors[0]
+
+
+def test_points_stay_distinct_and_inside():
+    psf, field, points = start()
+    moved = anneal(psf, field, points, np.random.default_rng(0), 50)
+    assert len(np.unique(moved, axis=0)) == len(moved) <= len(points)
+    assert (moved >= 0).all() and (moved < psf.shape[:2]).all()
+
+
+def test_same_seed_gives_the_same_points():
+    psf, field, points = start()
+    first, second = (anneal(psf, field, points, np.random.default_rng(3), 30) for _ in range(2))
+    np.testing.assert_array_equal(first, second)

@@ -1,0 +1,128 @@
+import numba
+import numpy as np
+import pytest
+
+from spreadlets.runtime.plan import pool as pooling
+from spreadlets.runtime.plan.pool import place_pixels, pool
+
+H, W, N_VARIANTS, N_LAYERS = 6, 9, 3, 2
+REACHES = np.array([0, 3, 7])
+WIDE = np.array([False, False, True])
+
+
+def make_samples(rng, *, border, spread=5.0):
+    radiance = rng.random((H, W, 4)).astype(np.float32)
+    weight = rng.random((H, W)).astype(np.float32)
+    label = rng.integers(-1, N_VARIANTS * N_LAYERS, (H, W)).astype(np.int32)
+    shift = rng.normal(0, spread, (H, W, 2)).astype(np.float32)
+    colours = tuple(rng.random((n, 4)).astype(np.float32) for n in (W, W, H, H)) if border else None
+    if border:
+        colours[0][3] = 0.0  # nothing to continue
+    return radiance, weight, label, shift, colours
+
+
+def naive(samples):
+    """Sum the bilinear parts of every splat that reaches the frame, of pixels within and far beyond it."""
+    total = {}
+    for radiance, weight, label, shift, colours in samples:
+        far = 40 if colours else 0
+        for down in range(-far, H + far):
+            for right in range(-far, W + far):
+                row, col = min(max(down, 0), H - 1), min(max(right, 0), W - 1)
+                if label[row, col] < 0:
+                    continue
+                colour = radiance[row, col]
+                if down != row:
+                    colour = colours[0 if down < 0 else 1][col]
+                elif right != col:
+                    colour = colours[2 if right < 0 else 3][row]
+                variant = label[row, col] % N_VARIANTS
+                place = shift[row, col, ::-1].astype(np.float64)
+                place = np.rint(place) if WIDE[variant] else np.rint(place * 16) / 16
+                first = np.floor(place).astype(int)
+                for dy, dx in np.ndindex(2, 2):
+                    share = np.prod(1 - np.abs(place - first - (dy, dx)))
+                    y, x = down + first[0] + dy, right + first[1] + dx
+                    far_y, far_x = max(-y, y - H + 1), max(-x, x - W + 1)
+                    if share > 0 and max(far_y, far_x) <= REACHES[variant] and colour.any():
+                        key = int(label[row, col]), y, x
+                        total[key] = total.get(key, 0) + share * weight[row, col] * colour.astype(np.float64)
+    return total
+
+
+def pooled(samples):
+    placed = [place_pixels(*each[:4], WIDE, each[4]) for each in samples]
+    return list(pool(placed, REACHES, N_LAYERS))
+
+
+def as_dict(splats):
+    found = {}
+    for each in splats:
+        index = np.arange(each.label.shape[1])
+        places = each.shift[0] + np.stack([0 * index, index], axis=1)
+        for label, place, radiance in zip(each.label[0], places, each.radiance[0], strict=True):
+            key = int(label), *place.tolist()
+            found[key] = found.get(key, 0) + radiance.astype(np.float64)
+    return found
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize("n", [1, 3])
+def test_splats_are_those_of_every_sample(border, n):
+    rng = np.random.default_rng(n)
+    samples = [make_samples(rng, border=border) for _ in range(n)]
+    splats, expected = pooled(samples), naive(samples)
+    assert len(splats) == 1 and splats[0].label.size == len(expected)
+    found = as_dict(splats)
+    assert found.keys() == expected.keys()
+    assert all(found[key] == pytest.approx(expected[key], rel=1e-5, abs=1e-7) for key in found)
+
+
+def test_each_place_and_label_comes_once_by_rows_then_labels_then_columns():
+    rng = np.random.default_rng(4)
+    splat = pooled([make_samples(rng, border=True, spread=1.0) for _ in range(4)])[0]
+    index = np.arange(splat.label.shape[1])
+    keys = np.stack([splat.shift[0, :, 0], splat.label[0], splat.shift[0, :, 1] + index], axis=1)
+    assert (np.unique(keys, axis=0) == keys).all()
+
+
+def test_many_samples_are_pooled_in_several_batches_of_the_same_sum(monkeypatch):
+    rng = np.random.default_rng(5)
+    samples = [make_samples(rng, border=True) for _ in range(5)]
+    whole = as_dict(pooled(samples))
+    monkeypatch.setattr(pooling, "MOST_SPLATS", 700)
+    parts = pooled(samples)
+    assert 1 < len(parts) <= 5
+    found = as_dict(parts)
+    assert found.keys() == whole.keys()
+    assert all(found[key] == pytest.approx(whole[key], rel=1e-5) for key in found)
+
+
+def test_sums_are_the_same_for_any_number_of_threads():
+    rng = np.random.default_rng(6)
+    samples = [make_samples(rng, border=True) for _ in range(3)]
+    threads = numba.get_num_threads()
+    try:
+        results = []
+        for n in (1, threads):
+            numba.set_num_threads(n)
+            results.append(pooled(samples)[0])
+    finally:
+        numba.set_num_threads(threads)
+    assert all(np.array_equal(a, b) for a, b in zip(results[0][1:4], results[1][1:4], strict=True))
+
+
+def test_nothing_to_draw_gives_nothing():
+    radiance, weight, label, shift, colours = make_samples(np.random.default_rng(7), border=True)
+    assert pooled([(radiance, weight, np.full_like(label, -1), shift, colours)]) == []
+    assert pooled([(np.zeros_like(radiance), weight, label, shift, None)]) == []
+    assert pooled([]) == []
+
+
+def test_no_weights_are_weights_of_one():
+    radiance, weight, label, shift, colours = make_samples(np.random.default_rng(8), border=True)
+    plain = pooled([(radiance, np.ones_like(weight), label, shift, colours)])[0]
+    assert np.array_equal(
+        pooled([(radiance, np.zeros((0, 0), np.float32), label, shift, colours)])[0].radiance, plain.radiance
+    )

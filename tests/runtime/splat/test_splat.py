@@ -1,0 +1,162 @@
+import numba
+import numpy as np
+import pytest
+from reference_splat import splat_naive
+
+from spreadlets.runtime.splat.splat import (
+    NO_SHIFT,
+    PointTable,
+    SplatPass,
+    canvas_of,
+    find_runs,
+    splat_direct,
+    splat_laplacian,
+)
+
+N_LAYERS = 2
+SPARSE = (0, 2)
+DIRECT = (1, 3)
+
+
+def random_table(rng, n_channels, n_variants=5, reach=6):
+    offsets, values, counts = [], [], []
+    for _ in range(n_variants):
+        n_points = int(rng.integers(1, 12))
+        offset = rng.integers(-reach, reach + 1, (n_points, 2)).astype(np.int32)
+        offsets.append(offset[np.lexsort((offset[:, 1], offset[:, 0]))])
+        values.append(rng.normal(size=(n_points, n_channels)).astype(np.float32))
+        counts.append(n_points)
+    start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    direct = np.arange(n_variants) % 2 == 1
+    return PointTable(np.concatenate(offsets), np.concatenate(values), start, direct)
+
+
+def random_pass(rng, n_variants=5, shape=(70, 23), shift=3, stride=1):
+    radiance = rng.random((*shape, 4)).astype(np.float32)
+    label = np.repeat(rng.integers(-1, N_LAYERS * n_variants, (shape[0], 8)), 3, axis=1)[:, : shape[1]]
+    moved = NO_SHIFT
+    if shift:
+        moved = rng.integers(-shift, shift + 1, (shape[0], 1, 2)).repeat(shape[1], axis=1).astype(np.int32)
+        moved[:, shape[1] // 2 :] = 0
+    return SplatPass((-2, -4), radiance, label.astype(np.int32), moved, stride)
+
+
+def random_levels(rng):
+    """Single pixels and blocks of 2 and 4 px of one frame."""
+    shapes = {1: (70, 23), 2: (35, 11), 4: (17, 5)}
+    return [random_pass(rng, shape=shape, shift=0, stride=stride) for stride, shape in shapes.items()]
+
+
+def drawn(table, sources, group):
+    """The canvas and the image of a group."""
+    runs = [find_runs(source, table, N_LAYERS) for source in sources]
+    canvas = canvas_of(runs, (*SPARSE, *DIRECT), table, 3)
+    image = np.zeros((canvas.rows, canvas.cols, 4), np.float32)
+    if group in DIRECT:
+        splat_direct(image, canvas, runs[0], group, table)
+    else:
+        splat_laplacian(image, canvas, [runs], group, table)
+    return canvas, image
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+@pytest.mark.parametrize("group", [*SPARSE, *DIRECT])
+def test_runs_draw_what_single_pixels_would(n_channels, group):
+    rng = np.random.default_rng(n_channels)
+    table, source = random_table(rng, n_channels), random_pass(rng)
+    canvas, image = drawn(table, [source], group)
+    expected = splat_naive(canvas, [source], group, table)
+    assert expected.any() and np.allclose(image, expected, atol=2e-5)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+@pytest.mark.parametrize("group", SPARSE)
+def test_blocks_are_drawn_as_all_their_pixels_would(n_channels, group):
+    rng = np.random.default_rng(2)
+    table, sources = random_table(rng, n_channels), random_levels(rng)
+    canvas, image = drawn(table, sources, group)
+    assert np.allclose(image, splat_naive(canvas, sources, group, table), atol=5e-5)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_passes_add_up(n_channels):
+    rng = np.random.default_rng(9)
+    table = random_table(rng, n_channels)
+    sources = [random_levels(rng), [random_pass(rng)], random_levels(rng)[:2]]
+    runs = [[find_runs(each, table, N_LAYERS) for each in levels] for levels in sources]
+    canvas = canvas_of([each for levels in runs for each in levels], (0,), table, 0)
+    image = np.full((canvas.rows, canvas.cols, 4), 7.0, np.float32)
+    splat_laplacian(image, canvas, runs, 0, table)
+    expected = splat_naive(canvas, [each for levels in sources for each in levels], 0, table)
+    assert np.allclose(image, expected, atol=5e-5)
+
+
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_the_result_does_not_depend_on_the_number_of_threads(n_channels):
+    rng = np.random.default_rng(5)
+    table, sources = random_table(rng, n_channels), random_levels(rng)
+    images = []
+    for threads in (1, 2):
+        before = numba.get_num_threads()
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        images.append([drawn(table, sources, group)[1] for group in (0, 1)])
+        numba.set_num_threads(before)
+    assert np.array_equal(*images)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_direct_points_that_are_neighbours_are_drawn_like_single_ones(n_channels):
+    rng = np.random.default_rng(8)
+    _, source = random_table(rng, n_channels), random_pass(rng, n_variants=2)
+    grid = np.argwhere(rng.random((7, 9)) < 0.8).astype(np.int32) - [3, 4]
+    offset = np.concatenate([grid, grid[::2]]).astype(np.int32)
+    value = rng.random((len(offset), n_channels)).astype(np.float32)
+    table = PointTable(offset, value, np.array([0, len(grid), len(offset)]), np.ones(2, bool))
+    canvas, image = drawn(table, [source], 1)
+    assert np.allclose(image, splat_naive(canvas, [source], 1, table), atol=2e-5)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_long_runs_draw_direct_points_like_short_ones(n_channels):
+    rng = np.random.default_rng(6)
+    table = random_table(rng, n_channels)
+    source = SplatPass((0, 0), rng.random((9, 40, 4)).astype(np.float32), np.ones((9, 40), np.int32))
+    canvas, image = drawn(table, [source], 1)
+    assert np.allclose(image, splat_naive(canvas, [source], 1, table), atol=2e-5)
+
+
+def test_passes_of_one_table_are_drawn_into_canvases_of_any_width():
+    rng = np.random.default_rng(11)
+    table = random_table(rng, 1)
+    widths = []
+    for cols in (9, 23, 9):
+        source = random_pass(rng, shape=(20, cols), shift=0)
+        canvas, image = drawn(table, [source], 0)
+        widths.append(canvas.cols)
+        assert np.allclose(image, splat_naive(canvas, [source], 0, table), atol=2e-5)
+    assert widths[0] == widths[2] < widths[1]
+
+
+@pytest.mark.interpreted
+def test_a_pass_without_shift_is_one_with_zero_shift():
+    rng = np.random.default_rng(7)
+    table, source = random_table(rng, 1), random_pass(rng, shift=0)
+    still = source._replace(shift=np.zeros((*source.label.shape, 2), np.int32))
+    images = [drawn(table, [each], 0)[1] for each in (source, still)]
+    assert images[0].any() and np.array_equal(*images)
+
+
+def test_the_canvas_holds_every_splat_and_no_more():
+    table = PointTable(np.array([[-2, 5]], np.int32), np.ones((1, 1), np.float32), np.array([0, 1]), np.zeros(1, bool))
+    label = np.full((9, 12), -1, np.int32)
+    label[4, 6] = 0
+    runs = find_runs(SplatPass((0, 0), np.ones((9, 12, 4), np.float32), label), table, 1)
+    canvas = canvas_of([runs], (0,), table, 1)
+    assert (canvas.top, canvas.rows) == (4 - 6, 13)
+    assert canvas.left % 4 == canvas.cols % 4 == 0 and canvas.left <= 0 and canvas.left + canvas.cols >= 13
+    assert canvas_of([runs], (1,), table, 1) is None

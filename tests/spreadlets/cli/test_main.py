@@ -1,0 +1,429 @@
+"""The command line as scripts call it: JSON on standard output, one line for an error, nothing half-written."""
+
+import json
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from spreadlets.cli import main as cli
+from spreadlets.files import exr_frames as exr
+from spreadlets.psf.database import open_database
+from spreadlets.scene.frame import Frame
+
+CAMERA = {
+    "focal_length_mm": 50.0,
+    "sensor_width_mm": 36.0,
+    "f_number": 0.01,
+    "focus_distance_m": 4.0,
+    "shutter_open_close_frames": [-0.25, 0.25],
+}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, recwarn):
+    def run_command(*arguments):
+        monkeypatch.setattr(sys, "argv", ["spreadlets", *map(str, arguments)])
+        monkeypatch.setattr("warnings.showwarning", None)
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            status = stop.code
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run_command
+
+
+@pytest.fixture
+def scene(tmp_path):
+    rng = np.random.default_rng(0)
+    radiance = rng.random((24, 32, 3)).astype(np.float32)
+    motion = np.full((24, 32, 2), 4.0, np.float32)
+    exr.write_frame(tmp_path / "frame.exr", Frame(radiance, np.full((24, 32), 5.0), motion))
+    exr.write_image(tmp_path / "reference.exr", radiance)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+    return tmp_path
+
+
+def synth_arguments(scene, database, **changed):
+    options = {"-o": scene / "out.exr", "--camera": scene / "camera.json", "--db": database} | changed
+    return ["synth", scene / "frame.exr", *(item for pair in options.items() for item in pair)]
+
+
+def test_synth_prints_one_json_object(run, scene, small_combined_path):
+    arguments = synth_arguments(scene, small_combined_path, **{"--reference": scene / "reference.exr"})
+    status, out, err = run(*arguments, "--json")
+    assert status == 0 and err == ""
+    report = json.loads(out)
+    assert set(report["time_s"]) == {"read", "plan", "splat", "integrate", "composite", "write", "total"}
+    assert set(report["plan"]) >= {"layers", "cells_used", "cells_total", "pixels_sparse", "pixels_dense"}
+    assert set(report["plan"]) >= {"pixels_skipped", "points_splatted", "padding_px", "left_out"}
+    assert {"compile_s", "peak_rss_mb", "ssim", "psnr", "flip", "relmse", "mae"} <= set(report)
+    assert report["time_s"]["total"] == pytest.approx(sum(report["time_s"].values()) - report["time_s"]["total"])
+    assert exr.read_image(scene / "out.exr").shape == (24, 32, 4)
+
+
+def test_without_json_the_steps_are_a_chart(run, scene, small_combined_path):
+    status, out, _ = run(*synth_arguments(scene, small_combined_path))
+    bars = [line.count("#") for line in out.splitlines() if line.startswith("  ") and "#" in line]
+    assert status == 0 and bars and 35 <= sum(bars) <= 45
+
+
+def test_a_tolerance_out_of_range_is_refused(run, scene, small_combined_path):
+    status, _, err = run(*synth_arguments(scene, small_combined_path), "--tolerance", "-1")
+    assert status == 2 and "tolerance is -1.0: allowed are 0" in err
+
+
+def test_switches_reach_the_result(run, scene, small_combined_path):
+    images = {}
+    for name in ("--no-defocus", "--no-motion", "--json"):
+        assert run(*synth_arguments(scene, small_combined_path), name)[0] == 0
+        images[name] = exr.read_image(scene / "out.exr")
+    assert not np.allclose(images["--no-defocus"], images["--json"], atol=1e-3)
+    assert not np.allclose(images["--no-motion"], images["--json"], atol=1e-3)
+
+
+def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
+    frame = exr.read_frame(scene / "frame.exr")
+    depth = frame.depth.copy()
+    depth[3, 4:6] = -1.0
+    import OpenEXR
+
+    channels = dict(zip("RGB", np.moveaxis(frame.radiance[..., :3], -1, 0).copy(), strict=True)) | {"Z": depth}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(scene / "frame.exr"))
+    assert run(*synth_arguments(scene, small_combined_path))[0] == 2
+    status, _, err = run(*synth_arguments(scene, small_combined_path), "--repair")
+    assert status == 0 and "2 invalid pixels were dropped" in err
+
+
+def test_several_frames_are_layers(run, scene, small_combined_path):
+    radiance = np.zeros((24, 32, 4), np.float32)
+    radiance[:8] = 1.0
+    exr.write_frame(scene / "front.exr", Frame(radiance, np.full((24, 32), 4.0)))
+    arguments = synth_arguments(scene, small_combined_path)
+    status, out, _ = run(arguments[0], scene / "front.exr", *arguments[1:], "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 2
+    assert np.allclose(exr.read_image(scene / "out.exr")[:7], 1.0, atol=1e-2)
+
+
+def test_info_and_compare(run, scene, small_combined_path):
+    status, out, _ = run("info", small_combined_path, "--json")
+    figures = json.loads(out)
+    assert status == 0 and figures["model"] == "combined" and figures["n_cells"] == 28 and figures["seed"] == 1
+    assert {"n_channels", "size_bytes", "mean_sparsity", "mean_ssim", "min_ssim", "mean_l1"} <= set(figures)
+    assert {"max_energy_error", "build_s", "parameters"} <= set(figures)
+    status, out, _ = run("compare", scene / "reference.exr", scene / "reference.exr", "--json")
+    assert status == 0
+    assert json.loads(out) == {"ssim": 1.0, "psnr": None, "flip": 0.0, "relmse": 0.0, "mae": 0.0}
+    status, out, _ = run("compare", scene / "reference.exr", scene / "reference.exr")
+    assert "ssim" in out
+
+
+def test_info_of_a_frame_shows_what_was_recognised(run, scene):
+    status, out, _ = run("info", scene / "frame.exr", "--json")
+    report = json.loads(out)
+    assert status == 0 and report["kind"] == "frame" and report["width"] == 32
+    assert report["layers"][0]["motion"]["longest_px"] == pytest.approx(np.sqrt(32)) and report["problems"] == []
+    status, out, _ = run("info", scene / "frame.exr", "--depth-scale", "0.01")
+    assert status == 0 and "planar" in out and "min_m" in out and "0.05" in out
+    options = ("--depth-convention", "ray", "--camera", scene / "camera.json", "--motion-channels", "none")
+    status, out, _ = run("info", scene / "frame.exr", *options, "--json")
+    layer = json.loads(out)["layers"][0]
+    assert layer["depth"]["min_m"] < 5 and layer["motion"] is None
+
+
+def test_options_of_frames_and_databases_are_not_mixed(run, scene, small_combined_path):
+    status, _, err = run("info", small_combined_path, "--preset", "nuke")
+    assert status == 2 and "is no frame" in err
+    status, _, err = run("info", scene / "frame.exr", "--plot", scene / "plot.png")
+    assert status == 2 and "--plot is for databases" in err
+
+
+def test_a_preset_reaches_the_frame(run, scene, small_combined_path):
+    expected = exr.read_frame(scene / "frame.exr")
+    assert run(*synth_arguments(scene, small_combined_path))[0] == 0
+    image = exr.read_image(scene / "out.exr")
+    exr.write_frame(scene / "frame.exr", expected, preset="nuke", unpremultiplied=True, depth_scale=0.01)
+    named = ("--preset", "nuke", "--unpremultiplied", "--depth-scale", "0.01")
+    status, _, err = run(*synth_arguments(scene, small_combined_path), *named)
+    assert status == 0 and err == ""
+    assert np.allclose(exr.read_image(scene / "out.exr"), image, atol=1e-5)
+    named = ("--motion-channels", "forward.u,forward.v", "--motion-convention", "backward-norm", *named)
+    status, _, err = run(*synth_arguments(scene, small_combined_path), *named, "--max-displacement", "2")
+    assert status == 0 and not np.allclose(exr.read_image(scene / "out.exr"), image, atol=1e-3)
+
+
+def test_a_deep_frame_is_made_into_layers(run, scene, small_combined_path):
+    import spreadlets as sp
+
+    n = 2 * 24 * 32
+    depth = np.tile(np.float32([4, 6]), n // 2)
+    image = sp.DeepImage(np.full((24, 32), 2), np.tile(np.float32([0.5, 0.5, 0.5, 0.5]), (n, 1)), depth, depth)
+    sp.write_deep(scene / "frame.exr", image)
+    status, out, _ = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 2
+    status, out, _ = run(*synth_arguments(scene, small_combined_path), "--deep-layers", "1", "--json")
+    assert status == 0 and json.loads(out)["plan"]["layers"] == 1
+
+
+@pytest.fixture
+def shot(scene):
+    frame = exr.read_frame(scene / "frame.exr")
+    for number in (1, 2, 3):
+        exr.write_frame(scene / f"shot.{number:04d}.exr", Frame(frame.radiance * number / 3, frame.depth, frame.motion))
+        exr.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
+    return scene
+
+
+def sequence_arguments(shot, database, *more):
+    options = ("-o", shot / "out.%02d.exr", "--camera", shot / "camera.json", "--db", database, *more)
+    return ["synth", shot / "shot.####.exr", *options]
+
+
+def test_a_sequence_is_one_report_and_resumes(run, shot, small_combined_path):
+    truth = ("--reference", shot / "truth.####.exr")
+    status, out, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "1-2", *truth), "--json")
+    report = json.loads(out)
+    assert (status, err) == (0, "") and (report["written"], report["skipped"]) == (2, 0)
+    assert [entry["frame"] for entry in report["frames"]] == [1, 2]
+    assert all("splat" in entry["time_s"] and "ssim" in entry for entry in report["frames"])
+    before = (shot / "out.01.exr").read_bytes()
+    (shot / "shot.0001.exr").write_bytes((shot / "shot.0003.exr").read_bytes())
+    status, out, err = run(*sequence_arguments(shot, small_combined_path))
+    assert status == 0 and "written            1" in out and "kept" in out and "out.%02d.exr" in err
+    assert (shot / "out.01.exr").read_bytes() == before
+    assert run(*sequence_arguments(shot, small_combined_path, "--overwrite"))[0] == 0
+    assert np.array_equal(exr.read_image(shot / "out.01.exr"), exr.read_image(shot / "out.03.exr"))
+
+
+def test_a_sequence_opens_its_database_once(run, shot, small_combined_path, monkeypatch):
+    from spreadlets.psf import database
+
+    opened = []
+    plain = database.open_database
+    monkeypatch.setattr(database, "open_database", lambda name: opened.append(name) or plain(name))
+    assert run(*sequence_arguments(shot, small_combined_path))[0] == 0
+    assert opened == [str(small_combined_path)]
+
+
+def test_missing_frames_of_a_sequence_are_named(run, shot, small_combined_path):
+    status, _, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "2-6"))
+    assert status == 2 and "3 frames are missing: 4-6" in err and not list(shot.glob("out*"))
+    (shot / "shot.0002.exr").unlink()
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 0 and "warning: the sequence has no frames 2" in err
+    assert len(json.loads(out)["frames"]) == 2
+
+
+def test_an_interrupted_sequence_leaves_whole_frames_only(run, shot, small_combined_path, monkeypatch):
+    from spreadlets import api
+
+    plain, calls = api.synthesize, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(api, "synthesize", interrupted)
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 130 and out == "" and "interrupted" in err
+    assert [path.name for path in shot.iterdir() if "out" in path.name or path.name.startswith(".")] == ["out.01.exr"]
+    assert exr.read_image(shot / "out.01.exr").shape == (24, 32, 4)
+
+
+def test_a_bad_frame_of_a_sequence_is_named_and_earlier_ones_stay(run, shot, small_combined_path):
+    (shot / "shot.0002.exr").write_bytes(b"no image")
+    status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 2 and out == "" and "error: frame 2: " in err and err.count("\n") == 1
+    assert [path.name for path in shot.glob("out*")] == ["out.01.exr"]
+
+
+def test_a_sequence_warns_of_its_conventions_once(run, shot, small_combined_path):
+    for number in (1, 2, 3):
+        frame = exr.read_frame(shot / f"shot.{number:04d}.exr")
+        exr.write_frame(shot / f"shot.{number:04d}.exr", frame, preset="karma")
+    status, _, err = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert status == 0 and err.count("Karma") == 1 and "shot.0001.exr" in err
+
+
+def test_sequence_options_need_a_sequence(run, scene, small_combined_path):
+    for option in (("--frames", "1-2"), ("--overwrite",)):
+        status, _, err = run(*synth_arguments(scene, small_combined_path), *option)
+        assert status == 2 and "are for sequences" in err
+
+
+def test_build_writes_a_database(run, tmp_path):
+    output = tmp_path / "tiny.h5"
+    arguments = ("--samples", 6, "--max-coc", 5, "--jobs", 1, "--seed", 3, "--density", "0.5")
+    status, out, err = run("build", "simplelens", "-o", output, *arguments, "--json")
+    assert status == 0 and err == ""
+    assert json.loads(out)["parameters"]["density"] == 0.5
+    assert [path.name for path in tmp_path.iterdir()] == ["tiny.h5"]
+
+
+def test_a_database_for_one_frame_holds_what_it_uses_and_gives_the_same_image(run, scene, small_combined_path):
+    options = ("--samples", 28, "--max-coc", 12, "--max-motion", 16, "--seed", 1, "--jobs", 1)
+    for_frame = ("--for", scene / "frame.exr", "--camera", scene / "camera.json")
+    status, out, err = run("build", "combined", "-o", scene / "part.h5", *options, *for_frame, "--json")
+    assert (status, err) == (0, "") and json.loads(out)["n_spreadlets"] == 1
+    images = []
+    for database in (small_combined_path, scene / "part.h5"):
+        assert run(*synth_arguments(scene, database))[0] == 0
+        images.append(exr.read_image(scene / "out.exr"))
+    assert np.array_equal(*images)
+    (scene / "camera.json").write_text(json.dumps(CAMERA | {"focus_distance_m": 2.0}))
+    status, _, err = run(*synth_arguments(scene, scene / "part.h5"))
+    assert status == 2 and "left out of this database" in err
+
+
+def test_for_needs_a_camera_and_a_camera_frames_unless_the_model_depends_on_it(run, scene):
+    status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
+    assert status == 2 and "only together with the frames" in err
+    status, _, err = run("build", "combined", "-o", scene / "part.h5", "--for", scene / "frame.exr")
+    assert status == 2 and "--for needs --camera" in err
+
+
+def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):
+    path = tmp_path / "blades.h5"
+    arguments = "--samples", "3", "--max-coc", "4", "--blades", "5", "--squeeze", "0.8", "--json"
+    assert run("build", "simplelens", "-o", path, *arguments)[0] == 0
+    with open_database(path) as database:
+        aperture = database.grid.model.settings["aperture"]
+        assert (aperture["blades"], aperture["squeeze"]) == (5, 0.8)
+    for model, option, value in (("volume", "--blades", "5"), ("combined", "--lens", "singlet")):
+        status, _, err = run("build", model, "-o", tmp_path / "none.h5", option, value)
+        assert status == 2 and f"the model '{model}' has no option '{option[2:]}'" in err
+    assert not (tmp_path / "none.h5").exists()
+
+
+def test_a_bad_prescription_is_one_line_with_its_place(run, tmp_path):
+    lens = tmp_path / "lens.txt"
+    lens.write_text("radius thickness glass semi_diameter\n")
+    status, out, err = run("build", "physicallens", "-o", tmp_path / "none.h5", "--lens", lens)
+    assert status == 2 and not out and "lens.txt, line 1: the columns are" in err and err.count("\n") == 1
+
+
+def with_camera(**changes):
+    def write(scene):
+        camera = CAMERA | changes
+        (scene / "camera.json").write_text(json.dumps({key: value for key, value in camera.items() if value != "-"}))
+
+    return write
+
+
+def with_frame(**changes):
+    def write(scene):
+        values = {"R": 0.5, "G": 0.5, "B": 0.5, "Z": 5.0} | changes
+        channels = {name: np.full((4, 4), value, np.float32) for name, value in values.items() if value is not None}
+        import OpenEXR
+
+        header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+        OpenEXR.File(header, channels).write(str(scene / "frame.exr"))
+
+    return write
+
+
+BAD_INPUT = [
+    (with_camera(focal_length_mm=0.0), "focal"),
+    (with_camera(focus_distance_m=0.01), "focus"),
+    (with_camera(f_number="-"), "f_number"),
+    (with_frame(Z=None), "depth"),
+    (with_frame(Z=-1.0), "depth"),
+    (with_frame(Z=float("nan")), "depth"),
+    (with_frame(R=float("nan")), "radiance"),
+    (with_frame(G=None), "colour channels"),
+    (lambda scene: (scene / "frame.exr").write_bytes(b"not an image"), "frame.exr"),
+    (lambda scene: (scene / "frame.exr").unlink(), "frame.exr"),
+    (lambda scene: (scene / "camera.json").write_text("{"), "camera.json"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "named"), BAD_INPUT)
+def test_bad_input_is_one_line_and_leaves_nothing(run, scene, small_combined_path, spoil, named):
+    spoil(scene)
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 2 and out == ""
+    assert err.startswith("error: ") and err.count("\n") == 1 and named in err
+    assert not [path for path in scene.iterdir() if "out" in path.name]
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "named"),
+    [
+        ("--method", "magic", "magic"),
+        ("--integrator", "magic", "magic"),
+        ("--db", "nowhere.h5", "nowhere.h5"),
+        ("-o", "/nonexistent/out.exr", "/nonexistent"),
+    ],
+)
+def test_bad_options_are_one_line(run, scene, small_combined_path, option, value, named):
+    status, _, err = run(*synth_arguments(scene, small_combined_path, **{option: value}))
+    assert status == 2 and err.count("\n") == 1 and named in err
+
+
+def test_vignetting_is_refused_where_the_lens_has_none(run, scene, small_combined_path):
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--vignetting")
+    assert (status, out) == (2, "") and "'combined' knows no vignetting" in err and err.count("\n") == 1
+    assert not [path for path in scene.iterdir() if "out" in path.name]
+
+
+def test_wrong_usage_exits_2(run):
+    for arguments in (("synth",), ("build", "nothing", "-o", "x.h5"), ("fly",), ("build", "combined", "--seed", "-1")):
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, "") and err.startswith("error: ")
+
+
+def test_every_command_shows_an_example(run):
+    for command in cli.cli.commands:
+        status, out, _ = run(command, "--help")
+        assert status == 0 and "Example: spreadlets" in out
+
+
+def test_a_warning_goes_to_standard_error(run, scene, small_combined_path):
+    (scene / "camera.json").write_text(json.dumps(CAMERA | {"f_number": 0.001}))
+    status, out, err = run(*synth_arguments(scene, small_combined_path), "--json")
+    assert status == 0 and json.loads(out)
+    assert err.startswith("warning: ") and "beyond the database's range" in err
+
+
+def test_a_database_is_extended_and_verified(run, tmp_path):
+    path = tmp_path / "tiny.h5"
+    arguments = "build", "simplelens", "-o", path, "--jobs", 1, "--json"
+    assert run(*arguments, "--samples", 6, "--max-coc", 5)[0] == 0
+    status, out, _ = run(*arguments, "--extend", "--max-coc", 6.5, "--log", tmp_path / "log.txt")
+    assert status == 0 and json.loads(out)["parameters"]["maximum"]["coc"] >= 6.5
+    assert "1 cells, 0 of them finished before" in (tmp_path / "log.txt").read_text()
+    status, out, err = run("info", path, "--verify", "--jobs", 1, "--json")
+    assert (status, err) == (0, "") and json.loads(out)["verified"]["cells"] == json.loads(out)["n_cells"]
+    with h5py.File(path) as file:
+        chunk = file["value"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 0xFF
+    path.write_bytes(content)
+    status, out, err = run("info", path, "--verify", "--jobs", 1)
+    assert status == 2 and out == "" and err.startswith("error: ")
+
+
+def test_verify_is_for_databases_and_jobs_for_verify(run, scene, small_combined_path):
+    status, _, err = run("info", scene / "frame.exr", "--verify")
+    assert status == 2 and "--verify is for databases" in err
+    status, _, err = run("info", small_combined_path, "--jobs", 2)
+    assert status == 2 and "--jobs is for --verify" in err
+
+
+def test_a_build_that_cannot_go_on_fails_with_one_line(run, tmp_path, monkeypatch):
+    from spreadlets.errors import BuildStoppedError
+    from spreadlets.precompute.build.parts import Parts
+
+    def refuse(self, task, records):
+        raise BuildStoppedError("no room")
+
+    monkeypatch.setattr(Parts, "store", refuse)
+    status, out, err = run("build", "simplelens", "-o", tmp_path / "a.h5", "--samples", 3, "--max-coc", 3, "--jobs", 1)
+    assert status == 1 and out == "" and err.splitlines()[-1] == "stopped: no room"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,119 @@
+import json
+import sys
+
+import numpy as np
+import pytest
+from skimage.io import imread
+
+from spreadlets.api import plot_database
+from spreadlets.cli import main as cli
+from spreadlets.errors import InvalidParameterError
+from spreadlets.psf.database import CellRecord, absent_record, open_database, write_database
+from spreadlets.reports import database_plot as plot
+
+ROWS_OF_IMAGES = 3
+STATISTICS_PANELS = 3
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are written, in order."""
+    from matplotlib.figure import Figure
+
+    figures, write = [], Figure.savefig
+
+    def savefig(figure, *arguments, **options):
+        figures.append(figure)
+        write(figure, *arguments, **options)
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    return figures
+
+
+def images(figure, row):
+    """The arrays shown of all cells: 0 the PSFs, 1 what the spreadlets stand for, 2 the differences."""
+    return [axes.images[0].get_array() for axes in figure.get_axes() if axes.images][row::ROWS_OF_IMAGES]
+
+
+def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, drawn):
+    plot_database(small_combined, tmp_path / "quality.png")
+    assert len(drawn[0].get_axes()) == STATISTICS_PANELS + ROWS_OF_IMAGES * plot.N_WORST
+    pixels = imread(tmp_path / "quality.png")[..., :3]
+    assert pixels.shape[:2] == tuple(int(inches * plot.DPI) for inches in plot.FIGURE_INCHES[::-1])
+    upper, lower = np.array_split(pixels, 2)
+    # Text alone covers about a hundredth.
+    assert (upper != 255).any(axis=2).mean() > 0.05 and (lower != 255).any(axis=2).mean() > 0.05
+    assert [path.name for path in tmp_path.iterdir()] == ["quality.png"]
+
+
+def counts(figure):
+    """How many spreadlets each of the statistics' panels shows."""
+    sparsity, similarity, scatter = figure.get_axes()[:STATISTICS_PANELS]
+    bars = [sum(bar.get_height() for bar in axes.patches) for axes in (sparsity, similarity)]
+    return [*bars, sum(len(line.get_xdata()) for line in scatter.lines)]
+
+
+def test_histograms_and_scatter_show_every_spreadlet(small_combined, tmp_path, drawn):
+    plot_database(small_combined, tmp_path / "quality.png")
+    assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
+
+
+def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn):
+    grid, statistics = small_combined.grid, small_combined.statistics()
+    cells = [[absent_record(grid, cell, n) for n in range(grid.direction_counts[cell])] for cell in range(grid.n_cells)]
+    for cell in (5, 20):
+        figures = {name: column[small_combined.cell_start[cell] + 1] for name, column in statistics.items()}
+        cells[cell][1] = CellRecord(cells[cell][1].direction, small_combined.cell(cell, 1), figures)
+    write_database(tmp_path / "few.h5", grid, cells, {})
+    with open_database(tmp_path / "few.h5") as few:
+        plot_database(few, tmp_path / "quality.png")
+    assert counts(drawn[0]) == [2] * STATISTICS_PANELS
+    assert len(images(drawn[0], 0)) == 2
+
+
+def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_path, drawn):
+    plot_database(small_combined, tmp_path / "quality.png")
+    titles = [axes.get_title() for axes in drawn[0].get_axes() if axes.images and axes.get_title()]
+    shown = [float(title.split(",")[0]) for title in titles]
+    similarity = small_combined.statistics()["ssim"]
+    worst = np.minimum.reduceat(similarity, small_combined.cell_start[:-1])
+    np.testing.assert_allclose(shown, np.sort(worst)[: plot.N_WORST], atol=1e-4)
+    for psf, spreadlet, difference in zip(*(images(drawn[0], row) for row in range(ROWS_OF_IMAGES)), strict=True):
+        assert psf.max() == pytest.approx(1.0)
+        assert spreadlet.sum() == pytest.approx(psf.sum(), rel=1e-2)
+        np.testing.assert_allclose(spreadlet - psf, difference, atol=1e-12)
+        assert np.abs(difference).sum() < 0.5 * psf.sum()
+
+
+@pytest.mark.parametrize("name", ["missing/quality.png", "folder"])
+def test_an_unwritable_place_is_one_clear_error(small_combined, tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InvalidParameterError, match="the plot .*cannot be written"):
+        plot_database(small_combined, tmp_path / name)
+    assert [path.name for path in tmp_path.rglob("*")] == ["folder"]
+
+
+def test_a_failure_leaves_the_old_picture(small_combined, tmp_path):
+    (tmp_path / "quality.png").write_bytes(b"old")
+
+    def failing(cell, direction, scale):
+        raise InvalidParameterError("no PSF")
+
+    with pytest.raises(InvalidParameterError, match="no PSF"):
+        plot.plot_database(small_combined, tmp_path / "quality.png", failing)
+    assert [path.name for path in tmp_path.iterdir()] == ["quality.png"]
+    assert (tmp_path / "quality.png").read_bytes() == b"old"
+
+
+def test_info_draws_on_request(small_combined_path, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("warnings.showwarning", None)
+    arguments = ["info", str(small_combined_path), "--plot", str(tmp_path / "quality.png"), "--json"]
+    monkeypatch.setattr(sys, "argv", ["spreadlets", *arguments])
+    cli.main()
+    assert json.loads(capsys.readouterr().out)["n_cells"] == 28
+    assert imread(tmp_path / "quality.png").std() > 0
+    monkeypatch.setattr(sys, "argv", ["spreadlets", *arguments[:3], str(tmp_path / "missing" / "quality.png")])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == cli.EXIT_BAD_INPUT
+    assert capsys.readouterr().err.startswith("error: the plot")
