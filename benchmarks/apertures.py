@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
-from spreadlets.precompute.trace.light_tracing import trace_psf
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests" / "precompute"))

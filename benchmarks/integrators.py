@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from poisson_sources import TRAINING, UNSEEN, Family, Rng
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import laplacian, solve_dirichlet, solve_free_space
 from spreadlets.runtime.integrate.convolution_pyramid import Integrator, UnbalancedSourceWarning, integrate
@@ -38,8 +39,6 @@ INTEGRATORS = (
 MEASURED_SECONDS = 3.0
 """Time spent on each integrator and size, so that the best run finds the machine idle."""
 FEWEST_RUNS, MOST_RUNS = 3, 100
-
-Image = NDArray[np.float32]
 
 
 def name_of(method: str, cycles: int) -> str:

@@ -24,7 +24,7 @@ from scipy import ndimage
 from speed import rendered
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode
+from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4, 8, 16)
 SOFTNESS = {"soft": 1.0, "hard": 0.0}

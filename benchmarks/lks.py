@@ -16,9 +16,10 @@ from scenes import RESULTS, save_pictures
 
 import spreadlets as sp
 from spreadlets.api import DensePsfs
-from spreadlets.metrics import display_encode
-from spreadlets.precompute.trace.light_tracing import trace_psf
-from spreadlets.runtime.render import Options, synthesize
+from spreadlets.precompute.models.registry import trace_psf
+from spreadlets.runtime.options import Options
+from spreadlets.runtime.render import synthesize
+from spreadlets.scene.display import display_encode
 
 PAPER_SYNTHESIS = {
     "whirl": {"spreadlets": (0.0880, 0.94), "gather": (0.2996, 0.81), "dense": (0.7228, 0.94)},

@@ -1,4 +1,4 @@
-"""The layered reconstructions of defocus and motion blur (`spreadlets.runtime.sheared.lrdm`) on three rendered frames.
+"""The layered reconstructions of defocus and motion blur (`runtime.sheared.lrdm`) on three rendered frames.
 
     python benchmarks/lrdm.py [--frames DIR] [--tables quality merging sparse settings memory speed defocus]
 
@@ -27,6 +27,7 @@ import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
+from spreadlets.arrays import Image
 from spreadlets.metrics import psnr, ssim
 from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm, spread_of
 from spreadlets.runtime.sheared.reconstruct import make_method
@@ -41,8 +42,6 @@ GOAL_LOSS_DB = {"lrdm-sheared": 1.1, "lrdm-ewa": 2.6}
 GOAL_OVER_MEAN_DB = 6.0
 SETTINGS = ({}, {"sigma_pixel": 0.33}, {"sigma_pixel": 0.7}, {"largest_sigma": 5.0}, {"step": 8.0}, {"tile": 64})
 LARGE = (720, 1280)
-
-Image = np.ndarray
 
 
 def least_times(runs: dict[str, Callable[[], object]], repeats: int = REPEATS) -> dict[str, float]:

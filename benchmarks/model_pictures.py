@@ -14,12 +14,12 @@ import matplotlib.image
 import numpy as np
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode
 from spreadlets.precompute.build.build import model_settings
-from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.database import open_database
 from spreadlets.psf.model import get_model
 from spreadlets.psf.spreadlet import Spreadlet
+from spreadlets.scene.display import display_encode
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "models"

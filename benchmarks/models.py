@@ -23,11 +23,12 @@ from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.precompute.build.build import build_database, model_grid
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify import sparsify
-from spreadlets.precompute.trace.light_tracing import trace_psf
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.model import PsfGrid
-from spreadlets.runtime.render import Options, synthesize
+from spreadlets.runtime.options import Options
+from spreadlets.runtime.render import synthesize
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -64,7 +65,7 @@ WIDE = {
 """Grids up to a CoC of 256 px: their options. The lens is LKS's, a bi-convex singlet, wide open."""
 
 PRICES = (0.125, 0.25, 0.5, 1.0, 2.0)
-"""Loss of similarity for a sparsity that is lower by 1, in place of `spreadlets.precompute.sparsify.sparsify.PRICE`."""
+"""Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.sparsify.PRICE`."""
 
 UNBOUND = {
     "WORST_LOSS": 0.2,

@@ -25,7 +25,9 @@ import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode, psnr, ssim
+from spreadlets.arrays import Image
+from spreadlets.metrics import psnr, ssim
+from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4)
 GOAL = {"coins": 0.97, "whirl": 0.97, "fence": 0.95}
@@ -35,8 +37,6 @@ PUBLISHED_OIDN = {"coins": 0.954, "whirl": 0.969, "fence": 0.944}
 N_FIREFLIES, FIREFLY = 20, 2000.0
 NODES = {"coins": 0.927, "whirl": 0.965, "fence": 0.807}
 """Similarity of Blender's Defocus and Vector Blur nodes on the pinhole frame, from the frames' own notes."""
-
-Image = np.ndarray
 
 
 def timed(make: Callable[[], Image]) -> tuple[Image, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from skimage.transform import downscale_local_mean
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode
+from spreadlets.scene.display import display_encode
 
 SCENES = ("coins", "whirl", "fence")
 RESULTS = Path(__file__).parent / "results"

@@ -1,4 +1,4 @@
-"""The layered reconstructions of SLR (`spreadlets.runtime.sheared`) on three rendered frames, and on cases whose answer is known.
+"""The layered reconstructions of SLR (`runtime.sheared`) on three rendered frames, and on cases whose answer is known.
 
     python benchmarks/sheared.py [--frames DIR] [--tables quality settings seams speed]
 
@@ -26,7 +26,9 @@ from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 from scipy import ndimage
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode, psnr, ssim
+from spreadlets.arrays import Image
+from spreadlets.metrics import psnr, ssim
+from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4)
 METHODS = ("mean", "axis-aligned", "sheared")
@@ -48,8 +50,6 @@ SETTINGS += ({"tile": 16}, {"tile": 64}, {"aperture": "gaussian"})
 LARGE = (720, 1280)
 LARGE_REPEATS = 4
 """Of the 4 samples of a pixel: 16."""
-
-Image = np.ndarray
 
 
 @numba.njit(cache=True)

@@ -25,7 +25,9 @@ from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.api import DensePsfs
-from spreadlets.runtime.render import Clock, Options, synthesize
+from spreadlets.runtime.clock import Clock
+from spreadlets.runtime.options import Options
+from spreadlets.runtime.render import synthesize
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("coins", "whirl", "fence")

@@ -33,6 +33,7 @@ from skimage.metrics import structural_similarity
 
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, SSIM_OPTIONS, psf_l1, psf_similarity
 from spreadlets.precompute.build.build import CellTask, build_cell
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.annealing import anneal
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
 from spreadlets.precompute.sparsify.fit import fit_values
@@ -40,7 +41,6 @@ from spreadlets.precompute.sparsify.fitted_annealing import anneal_fitted
 from spreadlets.precompute.sparsify.green import reconstruct
 from spreadlets.precompute.sparsify.lloyd import collapse, relax
 from spreadlets.precompute.sparsify.sparsify import sparsify
-from spreadlets.precompute.trace.light_tracing import trace_psf
 from spreadlets.psf.laplacian import laplacian
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.psf.spreadlet import Spreadlet

@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import spreadlets as sp
-from spreadlets.metrics import display_encode
+from spreadlets.scene.display import display_encode
 
 RESULTS = Path(__file__).parent / "results"
 DATA = Path(sp.__file__).parent / "data"

@@ -16,7 +16,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.model import get_model
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import refusing
@@ -20,13 +21,13 @@ from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
-    from spreadlets.runtime.render import Clock, Options
+    from spreadlets.runtime.clock import Clock
+    from spreadlets.runtime.options import Options
 
-Image = npt.NDArray[np.float32]
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
 LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
-"""Those of `spreadlets.runtime.sheared`, a backend that nothing else needs."""
+"""Those of `runtime.sheared`, a backend that nothing else needs."""
 DENOISERS = ("bm3d", "oidn")
 RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
 SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp")
@@ -210,8 +211,8 @@ def reconstruct(
         (LRDM 2014, and with two faster screen filters of 2015). ``mean``: the mean of each pixel's samples, the plain
         Monte Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
     settings : mapping, optional
-        Of a layered reconstruction, by name, see the fields of `spreadlets.runtime.sheared.slr.Slr` and
-        `spreadlets.runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
+        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr` and
+        `runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
     denoise : {"oidn", "bm3d"}, optional
         Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
         default off. For methods that splat.
@@ -277,13 +278,14 @@ def _without_splatting(
         value = options.get(name)
         if value is not None and value is not True:
             raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
-    from spreadlets.runtime import render
+    from spreadlets.runtime.clock import Clock
+    from spreadlets.runtime.finish.average import average
 
-    image, figures = render.average(samples, clock)
+    image, figures = average(samples, clock)
     if method in DENOISERS:
         from spreadlets.runtime.finish.denoise import denoise
 
-        image, figures = denoise(image, method, clock or render.Clock())
+        image, figures = denoise(image, method, clock or Clock())
     return image, figures
 
 
@@ -308,7 +310,7 @@ def _check_method(method: str, allowed: Sequence[str]) -> None:
 
 def _render_options(opened: Database, method: str, options: RenderOptions) -> tuple[Options, Clock | None]:
     """Return the options of the runtime: those that are not given keep its defaults."""
-    from spreadlets.runtime.render import Options
+    from spreadlets.runtime.options import Options
 
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     clock = given.pop("clock", None)
@@ -347,7 +349,7 @@ def build_database(
     Parameters
     ----------
     model, path, options
-        See `spreadlets.precompute.build.build.build_database`.
+        See `precompute.build.build.build_database`.
     frames : sequence of Frame, optional
         Build only the cells and directions that these frames use; needs the camera.
     camera : ThinLens, optional
@@ -376,29 +378,22 @@ def build_database(
 
 
 def verify_database(database: Database, **options: Any) -> dict[str, Any]:
-    """Check an open database against its recorded figures; see `spreadlets.precompute.build.verification.verify_database`."""
+    """Check an open database against its recorded figures; see `precompute.build.verification.verify_database`."""
     from spreadlets.precompute.build.verification import verify_database as verify
 
     return verify(database, **options)
 
 
-def plot_database(database: Database, path: str | os.PathLike[str]) -> None:
-    """Draw the quality of an open database as a PNG file; see `spreadlets.reports.database_plot.plot_database`."""
-    from spreadlets.reports.database_plot import plot_database as plot
-
-    plot(database, path, DensePsfs(database))
-
-
 @dataclass(frozen=True)
 class DensePsfs:
-    """The full PSFs of a database's cells, traced as its build did; see `spreadlets.runtime.plan.variant.DensePsf`."""
+    """The full PSFs of a database's cells, traced as its build did; see `runtime.plan.variant.DensePsf`."""
 
     database: Database
     by_rows: bool = False
 
     def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
         """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
-        from spreadlets.precompute.trace.light_tracing import trace_psf
+        from spreadlets.precompute.models.registry import trace_psf
 
         grid = self.database.grid
         stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def splat_naive(canvas, sources, group, table):
-    """Draw one group of passes, of single pixels or blocks, as `spreadlets.runtime.splat` does, into an empty canvas."""
+    """Draw one group of passes, of single pixels or blocks, as `runtime.splat` does, into an empty canvas."""
     image = np.zeros((canvas.rows, canvas.cols, 4))
     layer, direct = divmod(group, 2)
     for source in sources:

@@ -1,69 +1,106 @@
-"""The import rules of the three packages: data flows one way."""
+"""The import rules: data flows one way, and only `spreadlets` is imported."""
 
 import ast
 import subprocess
 import sys
+from collections import defaultdict
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("spreadlets", "precompute", "runtime")
-JOINING_MODULES = {"spreadlets/__init__.py", "spreadlets/api.py", "spreadlets/cli.py", "spreadlets/demo.py"}
-"""The facade and the command line: they alone may name both halves, and the reports, which measure them."""
-JOINING_FOLDER = "spreadlets/reports/"
+FOLDERS = ("spreadlets", "precompute", "runtime")
+
+ORDER = (
+    {"errors", "arrays"},
+    {"scene"},
+    {"metrics", "psf"},
+    {"files", "precompute.trace", "runtime.clock", "runtime.label"},
+    {"precompute.models", "runtime.splat", "runtime.integrate"},
+    {"precompute.sparsify", "runtime.plan"},
+    {"precompute.build", "runtime.composite", "runtime.finish"},
+    {"runtime.options", "runtime.report"},
+    {"runtime.render", "runtime.sheared"},
+    {"api"},
+    {"reports"},
+    {"cli"},
+)
+"""The order of the tree, stated once: what stands in a row may import only from rows above it."""
+
+LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
 
 
-def imported_modules(path: Path) -> set[str]:
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+def module_name(path: Path) -> str:
+    """Name by which a file of the product is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    name = ".".join(parts if parts[0] == "spreadlets" else ("spreadlets", *parts))
+    return name.removesuffix(".__init__")
+
+
+MODULES = {
+    module_name(path): path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")) if path.is_file()
+}
+MODULES = {name: path for name, path in MODULES.items() if path.resolve() == path}
+
+
+def imported_modules(name: str) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names.add(node.module or "")
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+            assert node.level == 0, f"{name}: relative import"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.add(inner if inner in MODULES else str(node.module))
+    return found
 
 
-def product_files() -> list[str]:
-    return sorted(str(path.relative_to(ROOT)) for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+def room(name: str) -> str:
+    """What a module belongs to in `ORDER`."""
+    parts = name.split(".")[1:]
+    return ".".join(parts[: 2 if parts and parts[0] in ("runtime", "precompute") else 1])
 
 
-def reports() -> set[str]:
-    return {name for name in product_files() if name.startswith(JOINING_FOLDER)}
+@pytest.mark.parametrize("name", sorted(set(MODULES) - {"spreadlets", "spreadlets.runtime", "spreadlets.precompute"}))
+def test_each_module_imports_only_from_its_own_folder_or_what_stands_below_it(name):
+    for other in imported_modules(name):
+        if not other.startswith("spreadlets"):
+            assert other.split(".")[0] not in ("runtime", "precompute"), f"{name} imports {other}"
+            continue
+        own, its = room(name), room(other)
+        assert own == its or LEVEL[its] < LEVEL[own], f"{name} ({own}) imports {other} ({its})"
+        halves = {part.split(".")[0] for part in (own, its)}
+        assert halves != {"runtime", "precompute"}, f"{name} reaches into the other half: {other}"
 
 
-@pytest.mark.parametrize("name", sorted(set(product_files()) - JOINING_MODULES - reports()))
-def test_each_module_imports_only_what_its_package_may(name):
-    modules = imported_modules(ROOT / name)
-    foreign = set(PACKAGES) - {name.split("/")[0], "spreadlets"}
-    assert not {module.split(".")[0] for module in modules} & foreign, f"{name} reaches into another package"
-    vocabulary = {"spreadlets"} | {f"spreadlets.{path.stem}" for path in (ROOT / "spreadlets").glob("*.py")}
-    from_facade = {module for module in modules if module.startswith("spreadlets") and module.count(".") == 1}
-    assert from_facade <= vocabulary, f"{name} imports names of the facade"
-    assert not modules & {"spreadlets.api", "spreadlets.cli.main", "spreadlets.reports.demo"}, f"{name} imports upwards"
-    assert not any(module.startswith("spreadlets.reports") for module in modules), f"{name} imports a report"
+def test_no_modules_import_each_other_in_a_circle():
+    graph = defaultdict(set)
+    for name in MODULES:
+        graph[name] = imported_modules(name) & MODULES.keys()
+    TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize("name", [name for name in product_files() if name.endswith("_kernels.py")])
+@pytest.mark.parametrize("name", [name for name in MODULES if name.endswith("_kernels")])
 def test_kernel_modules_import_only_numpy_numba_math(name):
     """And the compiler that Numba itself is made with."""
-    modules = {module for module in imported_modules(ROOT / name) if "_kernels" not in module}
-    assert {module.split(".")[0] for module in modules} <= {"numpy", "numba", "math", "llvmlite", "__future__"}
+    modules = {module for module in imported_modules(name) if "_kernels" not in module}
+    allowed = {"numpy", "numba", "math", "llvmlite", "__future__", "spreadlets.arrays"}
+    assert {module if module.startswith("spreadlets") else module.split(".")[0] for module in modules} <= allowed
+
+
+def test_no_two_kernel_modules_have_the_same_name():
+    names = [name.split(".")[-1] for name in MODULES if name.endswith("_kernels")]
+    assert len(names) == len(set(names)) and "_kernels" not in names
 
 
 def test_nothing_but_the_facade_imports_the_layered_reconstructions_and_it_only_when_asked():
-    others = [name for name in product_files() if not name.startswith("runtime/sheared/")]
-    users = [
-        name
-        for name in others
-        if any(m.startswith("spreadlets.runtime.sheared") for m in imported_modules(ROOT / name))
-    ]
-    assert users == ["spreadlets/api.py"]
-    top = [
-        node for node in ast.parse((ROOT / users[0]).read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)
-    ]
+    others = [name for name in MODULES if not name.startswith("spreadlets.runtime.sheared")]
+    users = [n for n in others if any(m.startswith("spreadlets.runtime.sheared") for m in imported_modules(n))]
+    assert users == ["spreadlets.api"]
+    body = ast.parse(MODULES["spreadlets.api"].read_text()).body
+    top = [node for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
     assert not [node for node in top if "sheared" in ast.unparse(node)]
 
 
@@ -71,3 +108,14 @@ def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, spreadlets; print([m for m in ('numpy', 'numba', 'h5py', 'OpenEXR') if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
+
+
+def test_folders_of_the_users_own_do_not_stand_in_the_way(tmp_path):
+    (tmp_path / "runtime").mkdir()
+    (tmp_path / "runtime" / "__init__.py").write_text("raise ImportError('not ours')")
+    (tmp_path / "precompute.py").write_text("raise ImportError('not ours')")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import spreadlets.api, spreadlets.runtime.render, spreadlets.precompute.build.build, spreadlets.cli.main"
+    )
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, check=True)

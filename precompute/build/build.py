@@ -1,7 +1,7 @@
 """Building a database: every cell and direction traced and sparsified by workers, resumable, extendable.
 
-Workers compute (`spreadlets.precompute.build.workers`), this process alone writes: finished cells into a folder (`spreadlets.precompute.build.parts`),
-and in the end all of them into the database, which appears whole.
+Workers compute (`precompute.build.workers`), this process alone writes: finished cells into a folder
+(`precompute.build.parts`), and in the end all of them into the database, which appears whole.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import inspect
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import fields
 from importlib.metadata import version
@@ -23,22 +23,12 @@ from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
 from spreadlets.precompute.build.progress import BuildProgress, Progress
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
 from spreadlets.precompute.build.workers import AGAIN, open_workers
-from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
 from spreadlets.precompute.models.aperture import Aperture
+from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
 
 MAX_SAMPLES = 100_000
-
-SETTINGS: dict[str, Callable[..., dict[str, Any]]] = {
-    "simplelens": simplelens.read_settings,
-    "combined": combined.read_settings,
-    "physicallens": physicallens.read_settings,
-    "stylized": stylized.read_settings,
-    "volume": volume.read_settings,
-}
-"""What turns the options of a model into its settings; its keywords are the options that the model has, and if it
-takes any, those of an aperture."""
 
 
 def build_database(
@@ -86,14 +76,14 @@ def build_database(
         Seed of tracing and sparsification. Equal seeds give equal databases for any number of workers.
     extend : bool
         Widen the database that is there: what it holds is kept where it is the same in the wider one, see
-        `spreadlets.precompute.build.extension`. What is not given stays as it is.
+        `precompute.build.extension`. What is not given stays as it is.
     progress : callable, optional
         Told of each finished cell.
     log : path, optional
         A line for each finished cell, with an estimate of what is left, is added to this file; by default to one in
         the folder of parts, which goes with it.
     options
-        Those of the model, see `SETTINGS`; None stands for the model's own value.
+        Those of the model, see `precompute.models.registry.REGISTRY`; None stands for the model's own value.
 
     Raises
     ------
@@ -188,7 +178,7 @@ def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
     InvalidParameterError
         If the model has no such option, or refuses its value.
     """
-    if model not in SETTINGS:
+    if model not in REGISTRY:
         # The table of models gives the error.
         return {}
     given = {name: value for name, value in options.items() if value is not None}
@@ -196,12 +186,12 @@ def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
     for name in given:
         if name not in known:
             raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
-    return SETTINGS[model](**given)
+    return REGISTRY[model].read_settings(**given)
 
 
 def _option_names(model: str) -> list[str]:
     """Return the names of a model's own options."""
-    parameters = inspect.signature(SETTINGS[model]).parameters.values()
+    parameters = inspect.signature(REGISTRY[model].read_settings).parameters.values()
     names = [each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
     takes_shape = len(names) < len(parameters)
     return names + [field.name for field in fields(Aperture)] * takes_shape
@@ -209,7 +199,7 @@ def _option_names(model: str) -> list[str]:
 
 def takes_option(model: str, name: str) -> bool:
     """Return whether a model has an option of its own of this name."""
-    return model in SETTINGS and name in _option_names(model)
+    return model in REGISTRY and name in _option_names(model)
 
 
 def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:

@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import IntArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.build.work import ALGORITHM_VERSION
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import Axis, PsfGrid
-
-IntArray = npt.NDArray[np.int64]
 
 RANGES = {"coc": "max_coc", "depth": "max_coc", "motion": "max_motion", "distance": "max_distance"}
 """The option that widens an axis, by the axis's name."""

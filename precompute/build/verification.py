@@ -8,19 +8,17 @@ from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidDatabaseError
 from spreadlets.precompute.build.progress import Progress
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, pose_seed, single_threaded, total_variation
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.sparsify import measure_spreadlet
-from spreadlets.precompute.trace.light_tracing import trace_psf
 from spreadlets.psf.database import Database
 from spreadlets.psf.database_file import refusing
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
-
-FloatArray = npt.NDArray[np.float64]
 
 TOLERANCES: Mapping[str, tuple[float, float]] = {
     "n_support": (0.02, 2.0),
@@ -47,7 +45,7 @@ class _Check(NamedTuple):
     cell: int
     number: int
     model: PsfModel
-    box: FloatArray
+    box: DoubleArray
     direction: float
     half_width: float
     side: int

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from spreadlets.precompute.models.registry import psf_footprint, trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
-from spreadlets.precompute.trace.light_tracing import footprint, trace_psf
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import PsfGrid, PsfModel
 
@@ -172,7 +172,7 @@ def plan_units(tasks: Sequence[CellTask], workers: int) -> list[WorkUnit]:
 def _pose_cost(task: CellTask) -> float:
     """Return the expected time of one direction of a cell, in a unit of its own."""
     number = task.directions[0]
-    pixels = footprint(
+    pixels = psf_footprint(
         task.grid.model,
         task.grid.box(task.cell),
         direction=float(task.grid.directions(task.cell)[number]),

@@ -4,10 +4,6 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 PASSED, BLOCKED, MISSED, REFLECTED = 0, 1, 2, 3
 """What a surface did to a ray: it passed, lay beyond the rim, missed the surface, was totally reflected."""
@@ -61,7 +57,7 @@ def trace_one(ray, table, index, sensor_distance):
         Position relative to the vertex of the first surface, and unit direction; becomes those on the sensor, relative
         to its middle.
     table : float64 array of shape (n_surfaces, 4)
-        `spreadlets.precompute.models.prescription.Prescription.table`.
+        `precompute.models.prescription.Prescription.table`.
     index : float64 array of shape (n_surfaces,)
         Refractive index behind each surface.
     sensor_distance : float

@@ -8,9 +8,6 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
 
 MAX_COLLISIONS = 512
 """A path that has collided so often has lost its way."""
@@ -84,7 +81,7 @@ def _first_collision(density: float, distance: float, state: np.ndarray) -> floa
 
 @numba.njit(cache=True, fastmath=False)
 def _distance(u: float, low: float, high: float) -> float:
-    """Map a uniform number to the tent over [low, high], see `spreadlets.precompute.trace.line_sample.tent`."""
+    """Map a uniform number to the tent over [low, high], see `precompute.trace.line_sample.tent`."""
     t = math.sqrt(2.0 * u) - 1.0 if u < 0.5 else 1.0 - math.sqrt(2.0 - 2.0 * u)
     return 0.5 * (low + high) + 0.5 * (high - low) * t
 

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.trace.line_sample import (
     Segments,
@@ -25,8 +25,6 @@ from spreadlets.precompute.trace.line_sample import (
     unchanged,
 )
 from spreadlets.psf.model import PsfModel
-
-FloatArray = npt.NDArray[np.float64]
 
 GENERATORS = (0.5 * (math.sqrt(5.0) - 1.0), math.sqrt(2.0) - 1.0, math.sqrt(3.0) - 1.0, math.sqrt(7.0) - 2.0)
 """Steps of radius, path length, direction and time from line to line: each evenly spread over neighbouring lines."""
@@ -111,7 +109,7 @@ class Aperture:
         """Whether half a turn leaves the aperture as it is."""
         return self.is_round or (not self.cats_eye and self.blades % 2 == 0)
 
-    def clearance(self, u: FloatArray, v: FloatArray) -> FloatArray:
+    def clearance(self, u: DoubleArray, v: DoubleArray) -> DoubleArray:
         """Return a function of places on the lens that is above 0 where light passes and 0 at the aperture's edge."""
         radius = np.hypot(u, v)
         room = 1.0 - radius**2
@@ -125,14 +123,14 @@ class Aperture:
             room = np.minimum(room, radius**2 - self.obstruction**2)
         return np.asarray(room)
 
-    def _edge(self, angle: FloatArray) -> FloatArray:
+    def _edge(self, angle: DoubleArray) -> DoubleArray:
         """Return the radius of the blades' edge in a direction."""
         sector = 2.0 * math.pi / self.blades
         from_middle = np.mod(angle - math.radians(self.rotation), sector) - 0.5 * sector
         straight = math.cos(0.5 * sector) / np.cos(from_middle)
         return np.asarray((1.0 - self.blade_curvature) * straight + self.blade_curvature)
 
-    def image(self, u: FloatArray, v: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
+    def image(self, u: DoubleArray, v: DoubleArray, side: int) -> tuple[DoubleArray, DoubleArray]:
         """Return where rays through places on the lens land, in units of the CoC radius."""
         stretch = side * (1.0 + side * self.spherical_aberration * (u**2 + v**2 - 1.0))
         return self.squeeze * stretch * u, stretch * v
@@ -194,7 +192,7 @@ def _trapezoid(rise: float, fall: float) -> list[float]:
     return [float(value) for value in np.minimum(opening, closing)]
 
 
-def shutter_times(u: FloatArray, curve: Sequence[float] | None) -> FloatArray:
+def shutter_times(u: DoubleArray, curve: Sequence[float] | None) -> DoubleArray:
     """Map uniform numbers to times in [-1/2, 1/2], as often as the shutter is open; the middle is mid-shutter."""
     if curve is None:
         return u - 0.5
@@ -210,7 +208,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     curve = model.settings["shutter_curve"]
     moves = model.has_direction
 
-    def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
+    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
         line_angle = direction if moves else LINE_ANGLE
         along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * points[:, :1] - 1.0
         u = along * math.cos(line_angle) - across * math.sin(line_angle)

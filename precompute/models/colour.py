@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from spreadlets.arrays import DoubleArray
 
 SHORTEST_NM, LONGEST_NM = 400.0, 700.0
 """Range of the wavelengths that are sampled; beyond it lies less than 1 % of the observer's response."""
@@ -27,7 +27,7 @@ XYZ_TO_SRGB = np.array(
 N_NODES = 1201
 
 
-def observer(wavelength_nm: npt.ArrayLike) -> FloatArray:
+def observer(wavelength_nm: npt.ArrayLike) -> DoubleArray:
     """Return the colour matching functions x, y and z of the CIE 1931 observer at wavelengths (...), as (..., 3)."""
     wavelength = np.asarray(wavelength_nm, np.float64)
     curves = []
@@ -40,7 +40,7 @@ def observer(wavelength_nm: npt.ArrayLike) -> FloatArray:
     return np.stack(curves, axis=-1)
 
 
-def rgb_response(wavelength_nm: npt.ArrayLike) -> FloatArray:
+def rgb_response(wavelength_nm: npt.ArrayLike) -> DoubleArray:
     """Return what light of single wavelengths (...) adds to linear sRGB, as (..., 3).
 
     An even spectrum is white: the mean over the range of wavelengths is (1, 1, 1). Single wavelengths lie outside the
@@ -50,7 +50,7 @@ def rgb_response(wavelength_nm: npt.ArrayLike) -> FloatArray:
 
 
 @lru_cache(maxsize=1)
-def _white() -> FloatArray:
+def _white() -> DoubleArray:
     """Return the mean of the unscaled response over the range of wavelengths."""
     step = (np.arange(N_NODES) + 0.5) / N_NODES
     return np.asarray((observer(SHORTEST_NM + (LONGEST_NM - SHORTEST_NM) * step) @ XYZ_TO_SRGB.T).mean(axis=0))

@@ -15,7 +15,7 @@ N_DIMENSIONS = 4
 
 
 def read_settings(*, shutter_curve: Sequence[float] | str | None = None, **shape: Any) -> dict[str, Any]:
-    """Return the settings of an aperture, see `spreadlets.precompute.models.aperture.read_settings`."""
+    """Return the settings of an aperture, see `precompute.models.aperture.read_settings`."""
     return aperture.read_settings(shutter_curve, shape)
 
 

@@ -16,8 +16,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.models import prescription
 from spreadlets.precompute.models._lens_kernels import BLOCKED, MISSED, PASSED, REFLECTED, trace_lines
@@ -26,9 +26,6 @@ from spreadlets.precompute.models.prescription import Prescription
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, polylines, tent
 from spreadlets.psf.model import PsfModel
 from spreadlets.scene.camera import MM_PER_M, ThinLens
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 N_DIMENSIONS = 5
 """Place of the line across the pupil, wavelength, distance from focus, eccentricity, azimuth."""
@@ -120,9 +117,9 @@ class Bundle(NamedTuple):
         What each surface did to how many rays.
     """
 
-    x: FloatArray
-    y: FloatArray
-    clearance: FloatArray
+    x: DoubleArray
+    y: DoubleArray
+    clearance: DoubleArray
     events: IntArray
 
 
@@ -261,10 +258,10 @@ def _trace(
     lens: Prescription,
     pupil_distance: float,
     sensor_distance: float,
-    place: FloatArray,
-    slope: FloatArray,
-    index: FloatArray,
-) -> tuple[FloatArray, IntArray]:
+    place: DoubleArray,
+    slope: DoubleArray,
+    index: DoubleArray,
+) -> tuple[DoubleArray, IntArray]:
     """Trace rays (n, K, 2); return x, y and clearance (n, K, 3), and the surfaces' events (n_surfaces, 4)."""
     out = np.empty((*place.shape[:2], 3))
     events = np.zeros((len(place), len(lens.surfaces), 4), np.int64)
@@ -282,7 +279,7 @@ def _trace(
 
 
 def trace_bundle(
-    focused: FocusedLens, place: FloatArray, wavelength_nm: FloatArray, inverse_m: FloatArray, height_mm: FloatArray
+    focused: FocusedLens, place: DoubleArray, wavelength_nm: DoubleArray, inverse_m: DoubleArray, height_mm: DoubleArray
 ) -> Bundle:
     """Trace lines of rays from points of the scene to the sensor.
 
@@ -308,10 +305,10 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     focused = focused_lens(model.settings)
 
     @lru_cache(maxsize=1)
-    def lit(box: tuple[tuple[float, float], ...]) -> tuple[FloatArray, FloatArray, float]:
+    def lit(box: tuple[tuple[float, float], ...]) -> tuple[DoubleArray, DoubleArray, float]:
         return _pilot(focused, np.array(box), side)
 
-    def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
+    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
         low, high, extent = lit(_hashable(box))
         across = low[1] + (high[1] - low[1]) * points[:, :1]
         along = np.linspace(low[0], high[0], N_NODES)[None, :]
@@ -345,28 +342,28 @@ def _mirror_image(segments: Segments, direction: float) -> Segments:
     return segments._replace(ends=ends.reshape(-1, 4))
 
 
-def _turned(x: FloatArray, y: FloatArray, angle: FloatArray | float) -> FloatArray:
+def _turned(x: DoubleArray, y: DoubleArray, angle: DoubleArray | float) -> DoubleArray:
     """Turn places by an angle; return them as (..., 2)."""
     return np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=-1)
 
 
-def _hashable(box: FloatArray) -> tuple[tuple[float, float], ...]:
+def _hashable(box: DoubleArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(low), float(high)) for low, high in box)
 
 
-def _inverse_distance(focused: FocusedLens, coc: FloatArray, side: int) -> FloatArray:
+def _inverse_distance(focused: FocusedLens, coc: DoubleArray, side: int) -> DoubleArray:
     """Return the inverse distance, 1 / m, at which a thin lens has a circle of confusion of radius ``coc``, px."""
     return np.asarray(focused.focus_per_m - side * coc / focused.coc_scale)
 
 
-def _without_negative_light(psf: FloatArray) -> FloatArray:
+def _without_negative_light(psf: DoubleArray) -> DoubleArray:
     """Bring colours outside the gamut to its border, and keep each channel's energy."""
     energy = psf.sum(axis=(0, 1))
     inside = np.maximum(psf, 0.0)
     return np.asarray(inside * (np.maximum(energy, 0.0) / np.maximum(inside.sum(axis=(0, 1)), 1e-300)))
 
 
-def _pilot(focused: FocusedLens, box: FloatArray, side: int) -> tuple[FloatArray, FloatArray, float]:
+def _pilot(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[DoubleArray, DoubleArray, float]:
     """Find the lit part of the pupil and how far its light reaches, over the corners of a cell and the spectrum.
 
     Returns

@@ -25,9 +25,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-
-FloatArray = npt.NDArray[np.float64]
 
 COLUMNS = ("radius", "thickness", "glass", "semi_diameter", "conic")
 MAX_SURFACES = 64
@@ -81,7 +80,7 @@ class Prescription:
         """Index of the aperture stop."""
         return next(number for number, surface in enumerate(self.surfaces) if surface.is_stop)
 
-    def indices(self, wavelength_nm: npt.ArrayLike) -> FloatArray:
+    def indices(self, wavelength_nm: npt.ArrayLike) -> DoubleArray:
         """Return the refractive index behind each surface, shape (..., n_surfaces), at wavelengths (...), nm."""
         wavelength = np.asarray(wavelength_nm, np.float64)
         return np.stack([refractive_index(surface.glass, wavelength) for surface in self.surfaces], axis=-1)
@@ -104,7 +103,7 @@ class Prescription:
         surfaces[self.stop] = surfaces[self.stop]._replace(semi_diameter=semi_diameter)
         return replace(self, surfaces=tuple(surfaces))
 
-    def table(self) -> FloatArray:
+    def table(self) -> DoubleArray:
         """Return curvature, thickness, conic constant and semi-diameter, shape (n_surfaces, 4), for the kernels."""
         return np.array([[1.0 / s.radius, s.thickness, s.conic, s.semi_diameter] for s in self.surfaces])
 
@@ -129,7 +128,7 @@ class Paraxial(NamedTuple):
     pupil_radius: float
 
 
-def refractive_index(glass: Sequence[float], wavelength_nm: FloatArray) -> FloatArray:
+def refractive_index(glass: Sequence[float], wavelength_nm: DoubleArray) -> DoubleArray:
     """Return the refractive index of a `Surface.glass` at wavelengths, nm.
 
     Notes
@@ -198,7 +197,7 @@ def chief_scale(lens: Prescription, sensor_distance: float, wavelength_nm: float
     return height + sensor_distance * slope
 
 
-def _paraxial_trace(table: FloatArray, index: FloatArray, height: float, slope: float) -> tuple[float, float]:
+def _paraxial_trace(table: DoubleArray, index: DoubleArray, height: float, slope: float) -> tuple[float, float]:
     """Trace a paraxial ray from the first surface to just behind the last; return its height and slope there."""
     before = 1.0
     for number, (curvature, thickness, _, _) in enumerate(table):

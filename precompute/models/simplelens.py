@@ -17,7 +17,7 @@ CHORD_ANGLE = 0.3
 
 
 def read_settings(**shape: Any) -> dict[str, Any]:
-    """Return the settings of an aperture, see `spreadlets.precompute.models.aperture.read_settings`."""
+    """Return the settings of an aperture, see `precompute.models.aperture.read_settings`."""
     return aperture.read_settings(None, shape)
 
 

@@ -15,15 +15,13 @@ from typing import Any, BinaryIO
 
 import matplotlib.image
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 from skimage.transform import resize
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidFileError, InvalidParameterError
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, polylines, tent, unchanged
 from spreadlets.psf.model import PsfModel
-
-FloatArray = npt.NDArray[np.float64]
 
 N_DIMENSIONS = 2
 """Place of the line, circle of confusion."""
@@ -75,7 +73,7 @@ def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> di
     return {"image": encode(_read_light(image)), "colour_offset": float(colour_offset)}
 
 
-def _read_light(path: str) -> FloatArray:
+def _read_light(path: str) -> DoubleArray:
     """Read a PNG as linear light (h, w, 3), reduced to at most `MAX_SIDE`."""
     try:
         with open(path, "rb") as file:
@@ -110,23 +108,23 @@ def _check_png(path: str, file: BinaryIO) -> None:
         raise InvalidFileError(f"{path}: has {width} x {height} px; at most {MAX_FILE_SIDE} x {MAX_FILE_SIDE} are read")
 
 
-def _resized(light: FloatArray, size: list[int]) -> FloatArray:
-    resized: FloatArray = resize(light, (*size, 3), order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
+def _resized(light: DoubleArray, size: list[int]) -> DoubleArray:
+    resized: DoubleArray = resize(light, (*size, 3), order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
     return resized
 
 
-def _linear(display: FloatArray) -> FloatArray:
+def _linear(display: DoubleArray) -> DoubleArray:
     """Turn sRGB values in [0, 1] into linear light."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
 
 
-def encode(light: FloatArray) -> dict[str, Any]:
+def encode(light: DoubleArray) -> dict[str, Any]:
     """Turn linear light (h, w, 3) in [0, 1] into JSON values, at 16 bits."""
     data = np.rint(65535.0 * light).astype("<u2").tobytes()
     return {"shape": list(light.shape), "u16": base64.b64encode(zlib.compress(data, 9)).decode()}
 
 
-def decode(stored: Mapping[str, Any]) -> FloatArray:
+def decode(stored: Mapping[str, Any]) -> DoubleArray:
     """Return the light (h, w, 3) that `encode` stored."""
     size = math.prod(stored["shape"]) * 2
     if not 0 < size <= 2 * MAX_SIDE * MAX_SIDE * 3:
@@ -145,7 +143,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     half = 0.5 * float(np.hypot(*light.shape[:2])) + 0.5 * max(light.shape[:2]) * float(np.abs(offset).max()) + 1.0
     along = np.linspace(-half, half, SAMPLES_PER_PIXEL * int(np.ceil(2.0 * half)) + 1)[None, :]
 
-    def trace(points: FloatArray, box: FloatArray, direction: float, direction_half_width: float) -> Segments:
+    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
         across = half * (2.0 * points[:, :1] - 1.0)
         x = along * np.cos(LINE_ANGLE) - across * np.sin(LINE_ANGLE)
         y = along * np.sin(LINE_ANGLE) + across * np.cos(LINE_ANGLE)
@@ -162,7 +160,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     )
 
 
-def _light_at(light: FloatArray, x: FloatArray, y: FloatArray, offset: FloatArray) -> FloatArray:
+def _light_at(light: DoubleArray, x: DoubleArray, y: DoubleArray, offset: DoubleArray) -> DoubleArray:
     """Look up an image at places (n, K) in its pixels from its centre, each channel moved by an offset; (n, K, 3)."""
     height, width = light.shape[:2]
     radius = 0.5 * max(height, width)
@@ -176,7 +174,7 @@ def _light_at(light: FloatArray, x: FloatArray, y: FloatArray, offset: FloatArra
     return np.stack(planes, axis=-1)
 
 
-def reach(box: FloatArray, light: FloatArray, offset: FloatArray) -> float:
+def reach(box: DoubleArray, light: DoubleArray, offset: DoubleArray) -> float:
     """Return the largest distance in x or y from the centre that light can have, px."""
     n_pixels = max(light.shape[:2])
     return float(box[0, 1] * ((n_pixels + 2.0) / n_pixels + np.abs(offset).max()))

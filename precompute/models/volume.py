@@ -12,15 +12,13 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.models._volume_kernels import walk
 from spreadlets.precompute.trace.line_sample import Painter, tent
 from spreadlets.psf.model import DEFAULT_MAX_DISTANCE_M, PsfModel
 from spreadlets.scene.camera import ThinLens
-
-FloatArray = npt.NDArray[np.float64]
 
 DENSITY_PER_M = 0.9
 ANISOTROPY = 0.8
@@ -83,10 +81,10 @@ class Tally(NamedTuple):
         Light that a collision absorbed; light that went astray (after `MAX_COLLISIONS` of the kernel).
     """
 
-    rings: FloatArray
+    rings: DoubleArray
     direct: float
-    absorbed: FloatArray
-    lost: FloatArray
+    absorbed: DoubleArray
+    lost: DoubleArray
 
 
 def read_settings(
@@ -151,7 +149,7 @@ def tracer(model: PsfModel, side: int) -> Painter:
     medium = Medium(**model.settings["medium"])
     focal_length_px, radius = model.settings["view"]["focal_length_px"], model.settings["psf_radius_px"]
 
-    def paint(box: FloatArray, rays: int | None, seed: int) -> FloatArray:
+    def paint(box: DoubleArray, rays: int | None, seed: int) -> DoubleArray:
         tally = trace_paths(medium, (box[0, 0], box[0, 1]), focal_length_px, radius, rays or DEFAULT_PATHS, seed)
         return draw_rings(tally.rings[:-1], tally.direct)
 
@@ -193,7 +191,7 @@ def trace_paths(
     )
 
 
-def draw_rings(rings: FloatArray, direct: float) -> FloatArray:
+def draw_rings(rings: DoubleArray, direct: float) -> DoubleArray:
     """Draw a round PSF from the energy of its rings (R, C), and a central pixel of its own; (H, H, C)."""
     radius, density = _profile(rings)
     half = math.ceil(len(rings) / RINGS_PER_PX)
@@ -210,7 +208,7 @@ def draw_rings(rings: FloatArray, direct: float) -> FloatArray:
     return psf
 
 
-def _profile(rings: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _profile(rings: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Return radii (K,), px, and the energy density (K, C) there; far out, rings are merged against their noise."""
     n_rings = len(rings)
     edges = list(range(min(FINE_RINGS, n_rings)))

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.precompute.sparsify.green import add_sources
 from spreadlets.precompute.sparsify.lloyd import collapse, merge
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 N_STEPS = 400
 MOVED_FRACTION = 0.01
@@ -22,7 +19,7 @@ LKS gives no schedule. A step of this size is what moving one point of a disc by
 
 
 def anneal(
-    psf: FloatArray, laplacian: FloatArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
+    psf: DoubleArray, laplacian: DoubleArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
 ) -> IntArray:
     """Move points at random, keeping moves that lower the L1 error of the PSF made from their Voronoi sums.
 
@@ -79,8 +76,8 @@ def propose(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) 
 
 
 def _difference(
-    points: IntArray, values: FloatArray, new_points: IntArray, new_values: FloatArray
-) -> tuple[IntArray, FloatArray]:
+    points: IntArray, values: DoubleArray, new_points: IntArray, new_values: DoubleArray
+) -> tuple[IntArray, DoubleArray]:
     """Return the sources (m, 2) and values (m, C) that lead from one set to another."""
     together, owner = np.unique(np.concatenate([points, new_points]), axis=0, return_inverse=True)
     change = np.zeros((len(together), values.shape[1]))

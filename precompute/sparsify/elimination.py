@@ -10,12 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.precompute.sparsify.fit import Equations
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 BATCH_FRACTION = 1 / 32
 """Largest fraction of the points that one step drops."""
@@ -30,7 +27,7 @@ RESOLUTION = 1e-12
 """Diagonal entries of the inverse below this fraction of the largest are rounding."""
 
 
-def eliminate(equations: Equations, size: IntArray, price: float, limit: float) -> tuple[IntArray, FloatArray]:
+def eliminate(equations: Equations, size: IntArray, price: float, limit: float) -> tuple[IntArray, DoubleArray]:
     """Drop points while what they save is worth what it costs.
 
     Parameters
@@ -67,7 +64,7 @@ def eliminate(equations: Equations, size: IntArray, price: float, limit: float) 
 
 
 def _eliminate_run(
-    inverse: FloatArray, value: FloatArray, size: IntArray, price: float, budget: float, floor: int
+    inverse: DoubleArray, value: DoubleArray, size: IntArray, price: float, budget: float, floor: int
 ) -> IntArray:
     """Drop points until none is worth dropping or few enough are left; return the indices of those left."""
     index = np.arange(len(size))
@@ -91,7 +88,7 @@ def _eliminate_run(
     return index
 
 
-def _choose_batch(inverse: FloatArray, cost: FloatArray, price: float) -> IntArray:
+def _choose_batch(inverse: DoubleArray, cost: DoubleArray, price: float) -> IntArray:
     """Choose the cheapest points below the price that hardly depend on each other, cheapest first."""
     n_most = max(1, int(BATCH_FRACTION * len(cost)))
     order = np.argsort(cost, kind="stable")[: 4 * n_most]

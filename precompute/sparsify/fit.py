@@ -13,12 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import laplacian, lattice_biharmonic, solve_free_space
 from spreadlets.psf.spreadlet import MOMENT_EXPONENTS
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 RIDGE = 1e-9
 """Weight of the squared values, relative to the mean diagonal of the quadratic form: it bounds cancelling values."""
@@ -55,18 +53,18 @@ class Equations:
         q, the values' components along the constraints.
     """
 
-    gram: FloatArray
-    rhs: FloatArray
+    gram: DoubleArray
+    rhs: DoubleArray
     constant: float
-    basis: FloatArray
-    fixed: FloatArray
+    basis: DoubleArray
+    fixed: DoubleArray
 
     def subset(self, index: IntArray) -> Equations:
         """Return the equations of some of the points, the others' values being zero."""
         basis, fixed = orthonormal_constraints(self.basis[index].T, self.fixed)
         return Equations(self.gram[np.ix_(index, index)], self.rhs[index], self.constant, basis, fixed)
 
-    def free_inverse(self) -> FloatArray:
+    def free_inverse(self) -> DoubleArray:
         """Return ``Z (Z' A Z)^-1 Z'``, Z spanning the free subspace: how the minimum answers to a change of b."""
         n_points = len(self.rhs)
         projected = project(self.gram, self.basis)
@@ -81,17 +79,17 @@ class Equations:
         inverse = np.tril(inverse) + np.tril(inverse, -1).T
         return project(np.asarray(inverse), self.basis)
 
-    def solve(self, inverse: FloatArray) -> FloatArray:
+    def solve(self, inverse: DoubleArray) -> DoubleArray:
         """Return the values (n, C) at the minimum, given `free_inverse`."""
         particular = self.basis @ self.fixed
         return particular + inverse @ (self.rhs - self.gram @ particular)
 
-    def objective(self, value: FloatArray) -> float:
+    def objective(self, value: DoubleArray) -> float:
         """Return the quadratic form at some values (n, C), summed over the channels."""
         return float(self.constant + np.sum(value * (self.gram @ value - 2.0 * self.rhs)))
 
 
-def fit_values(psf: FloatArray, offset_rc: IntArray) -> FloatArray:
+def fit_values(psf: DoubleArray, offset_rc: IntArray) -> DoubleArray:
     """Fit the values of given points to a PSF in plain least squares over the whole plane.
 
     Parameters
@@ -120,7 +118,7 @@ def fit_values(psf: FloatArray, offset_rc: IntArray) -> FloatArray:
     return equations.solve(equations.free_inverse())
 
 
-def quantise(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float32]:
+def quantise(offset_rc: IntArray, value: DoubleArray) -> npt.NDArray[np.float32]:
     """Round values to float32 such that each channel's sum is exactly zero and its energy nearly kept.
 
     A rest of the sum, however small, would give the solution a logarithmic tail over the whole image.
@@ -151,7 +149,7 @@ def quantise(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float32]:
     return np.asarray(units * step, dtype=np.float32)
 
 
-def biharmonic_equations(psf: FloatArray, offset_rc: IntArray) -> Equations:
+def biharmonic_equations(psf: DoubleArray, offset_rc: IntArray) -> Equations:
     """Build the equations of `fit_values`; the constant is that of the error relative to zero values, left at 0."""
     _check_distinct(offset_rc)
     basis, fixed = orthonormal_constraints(*moment_constraints(psf, offset_rc))
@@ -166,7 +164,7 @@ def biharmonic_equations(psf: FloatArray, offset_rc: IntArray) -> Equations:
     return Equations(gram, potential[row, column], 0.0, basis, fixed)
 
 
-def moment_constraints(psf: FloatArray, offset_rc: IntArray) -> tuple[FloatArray, FloatArray]:
+def moment_constraints(psf: DoubleArray, offset_rc: IntArray) -> tuple[DoubleArray, DoubleArray]:
     """Return the moments' matrix (6, n) at the points and their values (6, C) for the PSF's Laplacian.
 
     Coordinates are in units of the PSF's half-size, so that the rows are of similar size.
@@ -179,7 +177,7 @@ def moment_constraints(psf: FloatArray, offset_rc: IntArray) -> tuple[FloatArray
     return _powers(offset_rc / scale), np.asarray(target)
 
 
-def orthonormal_constraints(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+def orthonormal_constraints(matrix: DoubleArray, target: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Turn constraints ``M v = m`` into ``Q' v = q`` with orthonormal columns Q, dropping dependent ones.
 
     Parameters
@@ -212,12 +210,12 @@ def orthonormal_constraints(matrix: FloatArray, target: FloatArray) -> tuple[Flo
     return right[kept].T, rotated[kept] / singular[kept, None]
 
 
-def _powers(coordinate: FloatArray) -> FloatArray:
+def _powers(coordinate: DoubleArray) -> DoubleArray:
     """Evaluate the monomials of `MOMENT_EXPONENTS` at coordinates (..., 2) as (6, ...)."""
     return np.stack([coordinate[..., 0] ** a * coordinate[..., 1] ** b for a, b in MOMENT_EXPONENTS])
 
 
-def project(matrix: FloatArray, basis: FloatArray) -> FloatArray:
+def project(matrix: DoubleArray, basis: DoubleArray) -> DoubleArray:
     """Restrict a symmetric matrix to the complement of the basis from both sides."""
     along = matrix @ basis
     crossed = along @ basis.T

@@ -10,16 +10,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.sparsify.annealing import N_STEPS, propose
 from spreadlets.precompute.sparsify.fit import RIDGE, moment_constraints, orthonormal_constraints, project
 from spreadlets.precompute.sparsify.lloyd import merge
 from spreadlets.psf.laplacian import lattice_biharmonic, solve_free_space
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 INITIAL_TEMPERATURE = 1e-4
 """Relative rise of the root of the squared error that is accepted with probability 1/e at first; it falls linearly to
@@ -32,13 +29,13 @@ REFRESH_MOVES = 64
 class Field(NamedTuple):
     """The fit's equations for a point at any pixel of the window."""
 
-    biharmonic: FloatArray
+    biharmonic: DoubleArray
     """The lattice biharmonic Green's function by row and column distance."""
-    moments: FloatArray
+    moments: DoubleArray
     """The monomials by which the constraints weigh the values, shape (H, W, 6)."""
-    potential: FloatArray
+    potential: DoubleArray
     """The PSF's potential, the right-hand side, shape (H, W, C)."""
-    fixed: FloatArray
+    fixed: DoubleArray
     """The PSF's moments, shape (6, C)."""
     energy: float
     """Sum of the squared PSF: the squared error without any point."""
@@ -48,9 +45,9 @@ class Fit(NamedTuple):
     """The best values of some points; `_move` updates the arrays in place."""
 
     point_rc: IntArray
-    inverse: FloatArray
+    inverse: DoubleArray
     """Inverse of the equations of values and Lagrange multipliers, shape (n + 6, n + 6)."""
-    solution: FloatArray
+    solution: DoubleArray
     """Values, then multipliers, shape (n + 6, C)."""
 
 
@@ -59,19 +56,19 @@ class Proposal(NamedTuple):
 
     point: int
     target: IntArray
-    column: FloatArray
+    column: DoubleArray
     """The inverse's answer to the new point's equation once the old one is gone, -1 at the point itself."""
     schur: float
-    residual: FloatArray
+    residual: DoubleArray
     """What is left of the new point's equation, shape (C,)."""
     rise: float
     """Of the squared error over the plane, summed over the channels."""
 
 
 def anneal_fitted(
-    psf: FloatArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
+    psf: DoubleArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
 ) -> tuple[IntArray, float]:
-    """Move points at random, keeping moves that lower the error that `spreadlets.precompute.sparsify.fit.fit_values` would leave.
+    """Move points at random, keeping moves that lower the error that `precompute.sparsify.fit.fit_values` would leave.
 
     Parameters
     ----------
@@ -124,7 +121,7 @@ def anneal_fitted(
     return points, _fitted(field, points, ridge)[1]
 
 
-def _field(psf: FloatArray) -> Field:
+def _field(psf: DoubleArray) -> Field:
     half = np.asarray(psf.shape[:2]) // 2
     offset = np.argwhere(np.ones(psf.shape[:2], dtype=np.bool_)) - half
     matrix, fixed = moment_constraints(psf, offset)
@@ -133,13 +130,13 @@ def _field(psf: FloatArray) -> Field:
     return Field(table, np.ascontiguousarray(moments), solve_free_space(psf), fixed, float((psf**2).sum()))
 
 
-def _gram(field: Field, first: IntArray, second: IntArray) -> FloatArray:
+def _gram(field: Field, first: IntArray, second: IntArray) -> DoubleArray:
     distance = np.abs(first[:, None, :] - second[None, :, :])
     return np.asarray(field.biharmonic[distance[..., 0], distance[..., 1]])
 
 
 def _ridge(field: Field, points: IntArray) -> float:
-    """Return the weight of the squared values, that of `spreadlets.precompute.sparsify.fit`."""
+    """Return the weight of the squared values, that of `precompute.sparsify.fit`."""
     basis, _ = orthonormal_constraints(field.moments[points[:, 0], points[:, 1]].T, field.fixed)
     return RIDGE * float(np.trace(project(_gram(field, points, points), basis))) / len(points)
 

@@ -7,28 +7,27 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
 from spreadlets.psf.laplacian import lattice_green
-
-FloatArray = npt.NDArray[np.float64]
 
 RADIUS_STEP = 64
 """Tables are made for multiples of this radius, px, so that PSFs of similar size share them."""
 
 
-def green_table(radius: int) -> FloatArray:
+def green_table(radius: int) -> DoubleArray:
     """Return the quarter of the lattice Green's function to at least a radius, px; shared, so not to be written to."""
     return _table(-(-radius // RADIUS_STEP) * RADIUS_STEP)
 
 
 @lru_cache(maxsize=4)
-def _table(radius: int) -> FloatArray:
+def _table(radius: int) -> DoubleArray:
     table = lattice_green(radius)
     table.flags.writeable = False
     return table
 
 
-def reconstruct(offset_rc: npt.NDArray[np.int64], value: FloatArray, shape: tuple[int, int]) -> FloatArray:
+def reconstruct(offset_rc: npt.NDArray[np.int64], value: DoubleArray, shape: tuple[int, int]) -> DoubleArray:
     """Solve the free-space Poisson problem of point sources on a centred window.
 
     Parameters
@@ -49,7 +48,7 @@ def reconstruct(offset_rc: npt.NDArray[np.int64], value: FloatArray, shape: tupl
     return np.ascontiguousarray(np.moveaxis(planes, 0, 2))
 
 
-def add_sources(planes: FloatArray, point_rc: npt.NDArray[np.int64], value: FloatArray) -> None:
+def add_sources(planes: DoubleArray, point_rc: npt.NDArray[np.int64], value: DoubleArray) -> None:
     """Add the solution of point sources at pixels (n, 2) to planes of shape (C, H, W), in place."""
     table = green_table(max(planes.shape[1:]))
     _kernels.add_green(planes, table, point_rc, np.ascontiguousarray(value, dtype=np.float64))

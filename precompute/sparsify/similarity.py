@@ -22,13 +22,11 @@ import scipy.linalg
 from scipy.ndimage import correlate1d, distance_transform_edt, uniform_filter
 from scipy.signal import fftconvolve
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
 from spreadlets.precompute.sparsify.fit import Equations, moment_constraints, orthonormal_constraints, project
 from spreadlets.precompute.sparsify.green import green_table
 from spreadlets.precompute.sparsify.symmetry import Symmetry, representatives
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 MEAN_CONSTANT = 1e-4
 VARIANCE_CONSTANT = 9e-4
@@ -59,20 +57,20 @@ class Samples(NamedTuple):
 
     offset_rc: IntArray
     """Offsets from the centre, shape (S, 2)."""
-    weight: FloatArray
+    weight: DoubleArray
     """Square roots of the weights of the window mean and of the detail's two differences, shape (S, 3)."""
-    target: FloatArray
+    target: DoubleArray
     """The weighted rows' values for the PSF itself, shape (S, 3, C)."""
 
 
-def window() -> FloatArray:
+def window() -> DoubleArray:
     """Return the SSIM's one-dimensional window, shape (11,)."""
     taps = np.exp(-0.5 * (np.arange(-WINDOW_RADIUS, WINDOW_RADIUS + 1) / WINDOW_SIGMA) ** 2)
     return np.asarray(taps / taps.sum())
 
 
 @lru_cache(maxsize=1)
-def detail_filter() -> FloatArray:
+def detail_filter() -> DoubleArray:
     """Return the filter k whose gradient has the window variance's spectrum, shape (11, 11).
 
     With the window's transfer function W and the 5-point Laplacian's, -lambda, it is ``sqrt((1 - W^2) / lambda)``.
@@ -92,7 +90,7 @@ def detail_filter() -> FloatArray:
 
 
 @lru_cache(maxsize=4)
-def _tables(size: int) -> tuple[FloatArray, FloatArray]:
+def _tables(size: int) -> tuple[DoubleArray, DoubleArray]:
     """Filter the table of the lattice Green's function of a size by the window and by the detail filter."""
     margin = max(WINDOW_RADIUS, DETAIL_RADIUS)
     quarter = green_table(size - 1)
@@ -104,7 +102,7 @@ def _tables(size: int) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(mean[inner, inner]), np.ascontiguousarray(detail[inner, inner])
 
 
-def similarity_weights(psf: FloatArray) -> FloatArray:
+def similarity_weights(psf: DoubleArray) -> DoubleArray:
     """Return the pixel weights of the squared window mean and of the squared differences of the detail of the error.
 
     Parameters
@@ -131,7 +129,7 @@ def similarity_weights(psf: FloatArray) -> FloatArray:
     return np.stack([mean_weight, *ahead], axis=2)
 
 
-def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, group: tuple[Symmetry, ...]) -> Equations:
+def similarity_equations(psf: DoubleArray, members: IntArray, size: IntArray, group: tuple[Symmetry, ...]) -> Equations:
     """Build the least-squares problem of the orbits' values in the similarity form.
 
     Parameters
@@ -139,7 +137,7 @@ def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, gro
     psf : ndarray of shape (H, W, C), float64
         PSF scaled to peak 1, symmetric under the group, centred on the box in which the similarity is measured.
     members : ndarray of shape (m, g, 2), int64
-        The orbits, as `spreadlets.precompute.sparsify.symmetry.orbits` gives them.
+        The orbits, as `precompute.sparsify.symmetry.orbits` gives them.
     size : ndarray of shape (m,), int64
         Number of distinct points of each.
     group : tuple of Symmetry
@@ -172,7 +170,7 @@ def similarity_equations(psf: FloatArray, members: IntArray, size: IntArray, gro
     return Equations(project(gram, basis), rhs - basis @ (basis.T @ rhs), constant, basis, fixed)
 
 
-def _choose_samples(psf: FloatArray, members: IntArray, group: tuple[Symmetry, ...]) -> Samples:
+def _choose_samples(psf: DoubleArray, members: IntArray, group: tuple[Symmetry, ...]) -> Samples:
     """Sample densely near the points and sparsely elsewhere, and only one of each set of symmetric pixels."""
     half = np.asarray(psf.shape[:2]) // 2
     free = np.ones(psf.shape[:2], dtype=np.bool_)
@@ -196,7 +194,7 @@ def _choose_samples(psf: FloatArray, members: IntArray, group: tuple[Symmetry, .
     return Samples(offset, weight, _targets(psf, offset + half, weight))
 
 
-def _thin(between: npt.NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
+def _thin(between: npt.NDArray[np.bool_]) -> tuple[IntArray, DoubleArray]:
     """Keep the samples on points, lest a spike hide there, and some of those between; return how many each stands for.
 
     Returns
@@ -215,7 +213,7 @@ def _thin(between: npt.NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
     return np.concatenate([on_points, others]), np.repeat([1.0, share], [len(on_points), len(others)])
 
 
-def _targets(psf: FloatArray, pixel_rc: IntArray, weight: FloatArray) -> FloatArray:
+def _targets(psf: DoubleArray, pixel_rc: IntArray, weight: DoubleArray) -> DoubleArray:
     """Return the weighted rows' values (S, 3, C) for the PSF itself."""
     row, column = pixel_rc.T
     padded = np.pad(psf, ((0, 1), (0, 1), (0, 0)))
@@ -225,7 +223,7 @@ def _targets(psf: FloatArray, pixel_rc: IntArray, weight: FloatArray) -> FloatAr
     return np.asarray(weight[:, :, None] * np.stack(values, axis=1))
 
 
-def _blur(image: FloatArray) -> FloatArray:
+def _blur(image: DoubleArray) -> DoubleArray:
     """Apply the SSIM's window along both axes, zero outside the image."""
     taps = window()
     return np.asarray(correlate1d(correlate1d(image, taps, axis=0, mode="constant"), taps, axis=1, mode="constant"))

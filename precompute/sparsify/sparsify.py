@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
@@ -24,8 +25,6 @@ from spreadlets.precompute.sparsify.symmetry import Symmetry, expand, find_group
 from spreadlets.psf.laplacian import laplacian
 from spreadlets.psf.spreadlet import Spreadlet
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Result = tuple[Spreadlet, dict[str, float]]
 
 PRICE = 0.25
@@ -185,14 +184,14 @@ def measure_spreadlet(psf: npt.ArrayLike, spreadlet: Spreadlet) -> dict[str, flo
     return _measured(boxed, replace(spreadlet, offset_rc=moved.astype(np.int16)), spike)[1]
 
 
-def _offset_of_support(psf: FloatArray) -> IntArray:
+def _offset_of_support(psf: DoubleArray) -> IntArray:
     """Return how far, in whole px, the middle of the light lies from the centre: an aberrated PSF is off its pixel."""
     place = np.argwhere((psf > 0).any(axis=2))
     middle = (place.min(axis=0) + place.max(axis=0)) // 2
     return np.asarray(middle - np.asarray(psf.shape[:2]) // 2, np.int64)
 
 
-def _moved(psf: FloatArray, shift: IntArray) -> FloatArray:
+def _moved(psf: DoubleArray, shift: IntArray) -> DoubleArray:
     """Move a PSF by whole pixels, on a window that grows with the shift."""
     if not shift.any():
         return psf
@@ -206,7 +205,7 @@ def _loss(result: Result) -> float:
     return 1.0 - figures["ssim"] + PRICE * figures["sparsity"] * (DIRECT_COST if spreadlet.direct else 1.0)
 
 
-def _checked(psf: npt.ArrayLike) -> FloatArray:
+def _checked(psf: npt.ArrayLike) -> DoubleArray:
     dense = np.asarray(psf, dtype=np.float64)
     dense = dense[..., None] if dense.ndim == 2 else dense
     if dense.ndim != 3 or dense.shape[0] % 2 == 0 or dense.shape[1] % 2 == 0:
@@ -216,7 +215,7 @@ def _checked(psf: npt.ArrayLike) -> FloatArray:
     return np.maximum(dense, 0.0)
 
 
-def _on_box(psf: FloatArray) -> FloatArray:
+def _on_box(psf: DoubleArray) -> DoubleArray:
     """Crop or pad a PSF, about its centre, to a box that holds all of it and where its similarity is measured."""
     centre = np.asarray(psf.shape[:2]) // 2
     reach = np.abs(np.argwhere((psf > 0).any(axis=2)) - centre).max(axis=0)
@@ -228,11 +227,11 @@ def _on_box(psf: FloatArray) -> FloatArray:
     return np.pad(cropped, [(pad[0], pad[0]), (pad[1], pad[1]), (0, 0)])
 
 
-def _support(psf: FloatArray) -> npt.NDArray[np.bool_]:
+def _support(psf: DoubleArray) -> npt.NDArray[np.bool_]:
     return np.asarray((psf > PSF_SUPPORT_THRESHOLD * psf.max()).any(axis=2))
 
 
-def _width_radius(psf: FloatArray) -> float:
+def _width_radius(psf: DoubleArray) -> float:
     """Return the radius, px, of the disc that is as wide as the PSF where that is narrowest.
 
     It does not change when the PSF turns on the lattice or grows along its motion, so that all directions agree.
@@ -242,7 +241,7 @@ def _width_radius(psf: FloatArray) -> float:
     return 2.0 * float(np.sqrt(np.linalg.eigvalsh(np.cov(offset, aweights=weight.ravel(), ddof=0))[0]))
 
 
-def _direct_spreadlet(psf: FloatArray, threshold: float) -> Spreadlet:
+def _direct_spreadlet(psf: DoubleArray, threshold: float) -> Spreadlet:
     """Keep the PSF's own pixels but the faintest, scaled to keep each channel's energy."""
     pixel = np.argwhere((psf > threshold * psf.max()).any(axis=2))
     value = psf[pixel[:, 0], pixel[:, 1]]
@@ -252,7 +251,7 @@ def _direct_spreadlet(psf: FloatArray, threshold: float) -> Spreadlet:
     return Spreadlet(offset.astype(np.int16), round_direct(offset, value), direct=True)
 
 
-def round_direct(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float32]:
+def round_direct(offset_rc: IntArray, value: DoubleArray) -> npt.NDArray[np.float32]:
     """Round pixels to few bits, which compress well, keeping each channel's sum.
 
     Parameters
@@ -277,7 +276,7 @@ def round_direct(offset_rc: IntArray, value: FloatArray) -> npt.NDArray[np.float
 
 
 def _sparse_spreadlet(
-    psf: FloatArray, terms: tuple[float, float], candidates: tuple[float, int], seed: int
+    psf: DoubleArray, terms: tuple[float, float], candidates: tuple[float, int], seed: int
 ) -> Spreadlet:
     """Choose the points of the Laplacian and fit their values.
 
@@ -294,7 +293,7 @@ def _sparse_spreadlet(
     return Spreadlet(offset.astype(np.int16), quantise(offset, spread_value * peak))
 
 
-def split_spike(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
+def split_spike(psf: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Take what a central pixel has above its neighbours off a PSF.
 
     Light that passes a medium unscattered stays in one pixel, a thousand times brighter than the rest. The similarity
@@ -328,7 +327,7 @@ def split_spike(psf: FloatArray) -> tuple[FloatArray, FloatArray]:
     return rest, spike
 
 
-def _with_spike(spreadlet: Spreadlet, spike: FloatArray) -> Spreadlet:
+def _with_spike(spreadlet: Spreadlet, spike: DoubleArray) -> Spreadlet:
     """Add a spike to a spreadlet: one pixel, or the five points of its Laplacian.
 
     The spike is many times larger than the other values, so float32 cannot hold its sum with them. What is rounded off
@@ -355,13 +354,13 @@ def _with_spike(spreadlet: Spreadlet, spike: FloatArray) -> Spreadlet:
     return Spreadlet(np.array(offset, np.int16), value.astype(np.float32), spreadlet.direct)
 
 
-def _quantum(value: npt.NDArray[np.float32]) -> FloatArray:
-    """Return the step of which each channel's values are multiples, see `spreadlets.precompute.sparsify.fit.quantise`."""
+def _quantum(value: npt.NDArray[np.float32]) -> DoubleArray:
+    """Return the step of which each channel's values are multiples, see `precompute.sparsify.fit.quantise`."""
     largest = np.maximum(np.abs(value).max(axis=0), np.finfo(np.float32).tiny).astype(np.float64)
     return np.asarray(np.exp2(np.ceil(np.log2(largest)) - QUANTUM_BITS - 1))
 
 
-def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], bounds: tuple[float, int], seed: int) -> IntArray:
+def _candidates(psf: DoubleArray, group: tuple[Symmetry, ...], bounds: tuple[float, int], seed: int) -> IntArray:
     """Return offsets (n, 2) of pixels that may become points, one of each orbit, thinned if they are too many."""
     threshold, most = bounds
     smooth = gaussian_filter(psf, SMOOTHING, axes=(0, 1), mode="constant")
@@ -377,7 +376,7 @@ def _candidates(psf: FloatArray, group: tuple[Symmetry, ...], bounds: tuple[floa
     return np.asarray(throw_darts(importance, most, np.random.default_rng(seed)) - half)
 
 
-def _measured(psf: FloatArray, spreadlet: Spreadlet, spike: FloatArray | float = 0.0) -> Result:
+def _measured(psf: DoubleArray, spreadlet: Spreadlet, spike: DoubleArray | float = 0.0) -> Result:
     """Measure a spreadlet against the PSF on its box, both without the PSF's spike."""
     offset, value = spreadlet.offset_rc.astype(np.int64), spreadlet.value.astype(np.float64)
     if spreadlet.direct:

@@ -4,13 +4,12 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from spreadlets.arrays import DoubleArray
 
 
 @numba.njit(cache=True, fastmath=False)
-def kronecker(first: int, total: int, most: int, shift: FloatArray, alpha: FloatArray) -> FloatArray:
+def kronecker(first: int, total: int, most: int, shift: DoubleArray, alpha: DoubleArray) -> DoubleArray:
     """Fill rows with points ``first, first + 1, ...`` of a shifted Hammersley-Kronecker set of ``total`` points.
 
     Parameters
@@ -40,7 +39,12 @@ def kronecker(first: int, total: int, most: int, shift: FloatArray, alpha: Float
 
 @numba.njit(cache=True, fastmath=False)
 def cut_lines(
-    nodes: FloatArray, density: FloatArray, clearance: FloatArray, ends: FloatArray, start: FloatArray, stop: FloatArray
+    nodes: DoubleArray,
+    density: DoubleArray,
+    clearance: DoubleArray,
+    ends: DoubleArray,
+    start: DoubleArray,
+    stop: DoubleArray,
 ) -> int:
     """Join the nodes of lines by segments, cut where the clearance, linear between the nodes, falls below zero.
 
@@ -83,7 +87,7 @@ def cut_lines(
 
 
 @numba.njit(cache=True, fastmath=False)
-def deposit_segment(i: int, ends: FloatArray, start: FloatArray, stop: FloatArray, image: FloatArray) -> None:
+def deposit_segment(i: int, ends: DoubleArray, start: DoubleArray, stop: DoubleArray, image: DoubleArray) -> None:
     """Add segment i to ``image``: each pixel gets the energy of the part of the segment that lies in it.
 
     Parameters
@@ -145,7 +149,7 @@ def deposit_segment(i: int, ends: FloatArray, start: FloatArray, stop: FloatArra
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def deposit_segments(ends: FloatArray, start: FloatArray, stop: FloatArray, images: FloatArray) -> None:
+def deposit_segments(ends: DoubleArray, start: DoubleArray, stop: DoubleArray, images: DoubleArray) -> None:
     """Add segments to a stack of images, a contiguous share to each, so that no two threads meet in one image.
 
     Parameters

@@ -15,19 +15,14 @@ the direction. Its dimensions are part of the same low-discrepancy set, so it co
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
 from spreadlets.precompute.trace._tracing_kernels import deposit_segments, kronecker
-from spreadlets.precompute.trace.line_sample import Painter, Segments, Tracer
-from spreadlets.psf.model import PsfModel
-
-FloatArray = npt.NDArray[np.float64]
+from spreadlets.precompute.trace.line_sample import Segments, Tracer
 
 MIN_RAYS = 1 << 17
 """Smallest default: in a PSF of few pixels, nearly all of them lie on the edge."""
@@ -51,105 +46,56 @@ N_BLOCKS = 8
 """Images that are filled independently and then summed in order: the same sum for any number of threads."""
 
 
-TRACERS: dict[str, Callable[[PsfModel, int], Tracer | Painter]] = {
-    "simplelens": simplelens.tracer,
-    "combined": combined.tracer,
-    "physicallens": physicallens.tracer,
-    "stylized": stylized.tracer,
-    "volume": volume.tracer,
-}
-"""What makes the PSFs of a model on a side of the focus (1 behind, -1 in front)."""
-
-
-def trace_psf(
-    model: PsfModel,
-    box: npt.ArrayLike,
-    *,
-    direction: float = 0.0,
-    direction_half_width: float = 0.0,
-    side: int = 1,
-    rays: int | None = None,
-    seed: int = 0,
-) -> FloatArray:
-    """Trace the PSF of one cell, pre-filtered over the cell.
+def footprint(tracer: Tracer, box: DoubleArray, direction: float, direction_half_width: float) -> float:
+    """Return about how many pixels a PSF covers, without tracing it.
 
     Parameters
     ----------
-    model : PsfModel
-    box : array_like of shape (n_axes, 2)
-        Range of each parameter, physical units; a range of no width is not filtered.
-    direction : float
-        Direction of the motion (dx, dy) = (cos, sin), y down, radians; for models with direction.
-    direction_half_width : float
-        Half-width of the tent over the direction, radians; 0 for no filter.
-    side : int
-        1 behind the focus, -1 in front of it; for models that tell them apart.
-    rays : int, optional
-        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default the tracer's own for
-        each pixel of the smallest box along the motion that holds the PSF, and at least `MIN_RAYS`. Models that are not
-        traced by segments count paths.
-    seed : int
-        Of the shift of the low-discrepancy points.
-
-    Returns
-    -------
-    ndarray of shape (H, W, C), float64
-        H and W odd, centred on the mid-shutter position, cropped to the support and 1 px around it. The sum over the
-        pixels, averaged over the channels, is 1.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the model has no tracer, the box is none of the model's, or ``rays`` is below 1.
-
-    Notes
-    -----
-    LKS sections 5.3 and 5.4.
-    """
-    ranges = _checked_box(model, box)
-    if rays is not None and rays < 1:
-        raise InvalidParameterError(f"rays must be at least 1, not {rays}")
-    tracer = TRACERS[model.name](model, side)
-    if isinstance(tracer, Painter):
-        psf = tracer.paint(ranges, rays, seed)
-    else:
-        pose = direction, direction_half_width
-        psf = _draw_segments(tracer, ranges, pose, rays, seed)
-    return _crop(psf * (model.n_channels / psf.sum()))
-
-
-def footprint(
-    model: PsfModel, box: npt.ArrayLike, *, direction: float, direction_half_width: float, side: int
-) -> float:
-    """Return about how many pixels the PSF of a cell covers, without tracing it.
-
-    Parameters
-    ----------
-    model, box, direction, direction_half_width, side
-        As for `trace_psf`.
+    tracer : Tracer
+    box : ndarray of shape (n_axes, 2), float64
+        Range of each parameter, physical units.
+    direction, direction_half_width : float
+        Radians.
 
     Returns
     -------
     float
-        Pixels of the smallest box along the direction that holds some of the PSF's segments; for a model that is not
-        traced by segments the same for all cells.
+        Pixels of the smallest box along the direction that holds some of the PSF's segments.
     """
-    ranges = _checked_box(model, box)
-    tracer = TRACERS[model.name](model, side)
-    if isinstance(tracer, Painter):
-        return 1.0
     own = tracer.generators
     generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
     shift = np.full(tracer.n_dimensions, 0.5)
     points = kronecker(0, FOOTPRINT_POINTS, FOOTPRINT_POINTS, shift, generators)
-    segments = tracer.trace(points, ranges, direction, direction_half_width)
+    segments = tracer.trace(points, box, direction, direction_half_width)
     return _box_area(segments, direction) if len(segments.ends) else 1.0
 
 
-def _draw_segments(
-    tracer: Tracer, box: FloatArray, pose: tuple[float, float], rays: int | None, seed: int
-) -> FloatArray:
-    """Draw as many segments as the rays pay for; return the sum (H, W, C), centred."""
+def draw_segments(
+    tracer: Tracer, box: DoubleArray, pose: tuple[float, float], rays: int | None, seed: int
+) -> DoubleArray:
+    """Draw as many segments as the rays pay for.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    box : ndarray of shape (n_axes, 2), float64
+        Range of each parameter, physical units.
+    pose : tuple of two floats
+        Direction and half-width of its tent, radians.
+    rays : int or None
+        Point-equivalent deposits; by default the tracer's own number for each pixel that the PSF covers.
+    seed : int
+
+    Returns
+    -------
+    ndarray of shape (H, W, C), float64
+        The sum, centred.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the PSF reaches farther than `MAX_REACH_PX`.
+    """
     reach = tracer.reach(box)
     if not reach <= MAX_REACH_PX:
         raise InvalidParameterError(
@@ -176,21 +122,7 @@ def _draw_segments(
     return tracer.symmetrise(np.asarray(psf))
 
 
-def _checked_box(model: PsfModel, box: npt.ArrayLike) -> FloatArray:
-    """Return the box as float64 (n_axes, 2), or say why it cannot be traced."""
-    if model.name not in TRACERS:
-        raise InvalidParameterError(f"no tracer for PSF model {model.name!r}; available: {', '.join(sorted(TRACERS))}")
-    ranges = np.asarray(box, dtype=np.float64)
-    if ranges.shape != (model.n_axes, 2):
-        raise InvalidParameterError(
-            f"the box of {model.name!r} needs shape ({model.n_axes}, 2), low and high per axis, not {ranges.shape}"
-        )
-    if not (np.isfinite(ranges).all() and (ranges[:, 0] >= 0.0).all() and (ranges[:, 0] <= ranges[:, 1]).all()):
-        raise InvalidParameterError(f"each range of the box needs 0 <= low <= high < inf, not {ranges.tolist()}")
-    return ranges
-
-
-def _generators(n: int) -> FloatArray:
+def _generators(n: int) -> DoubleArray:
     """Return the n generators of the R_n sequence: inverse powers of the generalised golden ratio.
 
     Its ratio g solves ``g ** (n + 1) = g + 1`` (Roberts 2018, "The unreasonable effectiveness of quasirandom
@@ -216,7 +148,7 @@ def _cost(segments: Segments) -> float:
     return float(np.sum(1.0 + np.hypot(x1 - x0, y1 - y0)))
 
 
-def _crop(psf: FloatArray) -> FloatArray:
+def crop(psf: DoubleArray) -> DoubleArray:
     """Crop a PSF symmetrically to its support and a border of 1 px."""
     padded = np.pad(psf, ((1, 1), (1, 1), (0, 0)))
     row, col, _ = np.nonzero(padded)

@@ -5,12 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.precompute.trace._tracing_kernels import cut_lines
-
-FloatArray = npt.NDArray[np.float64]
-
 
 RAYS_PER_PIXEL = 1024
 """Default point-equivalent deposits per pixel of the smallest box along the motion that holds the PSF."""
@@ -19,15 +16,15 @@ RAYS_PER_PIXEL = 1024
 class Segments(NamedTuple):
     """Straight segments on the image, each with an energy density that is linear along it."""
 
-    ends: FloatArray
+    ends: DoubleArray
     """x0, y0, x1, y1 in px from the PSF's centre, shape (n, 4). No length: a point."""
-    start: FloatArray
+    start: DoubleArray
     """Energy density per unit of the segment's parameter in [0, 1] at (x0, y0), shape (n, C)."""
-    stop: FloatArray
+    stop: DoubleArray
     """The same at (x1, y1); a segment's energy is the mean of the two."""
 
 
-def sharp(box: FloatArray) -> float:
+def sharp(box: DoubleArray) -> float:
     """Return no blur, px, whatever the box."""
     return 0.0
 
@@ -58,21 +55,21 @@ class Tracer:
     """
 
     n_dimensions: int
-    trace: Callable[[FloatArray, FloatArray, float, float], Segments]
-    reach: Callable[[FloatArray], float]
-    symmetrise: Callable[[FloatArray], FloatArray]
+    trace: Callable[[DoubleArray, DoubleArray, float, float], Segments]
+    reach: Callable[[DoubleArray], float]
+    symmetrise: Callable[[DoubleArray], DoubleArray]
     segments_per_point: int = 1
     rays_per_pixel: int = RAYS_PER_PIXEL
-    blur: Callable[[FloatArray], float] = sharp
+    blur: Callable[[DoubleArray], float] = sharp
     generators: tuple[float, ...] | None = None
 
 
-def point_symmetric(psf: FloatArray) -> FloatArray:
+def point_symmetric(psf: DoubleArray) -> DoubleArray:
     """Average a PSF (H, W, C) with its half turn."""
     return 0.5 * (psf + psf[::-1, ::-1])
 
 
-def lattice_symmetric(psf: FloatArray) -> FloatArray:
+def lattice_symmetric(psf: DoubleArray) -> DoubleArray:
     """Average a square PSF (H, H, C) over the lattice's eight symmetries."""
     mirrored = psf + psf[::-1]
     mirrored = mirrored + mirrored[:, ::-1]
@@ -89,15 +86,15 @@ class Painter:
         ``(box, rays, seed) -> psf``, (H, W, C) with H and W odd, centred; ``rays`` is None for the model's own number.
     """
 
-    paint: Callable[[FloatArray, int | None, int], FloatArray]
+    paint: Callable[[DoubleArray, int | None, int], DoubleArray]
 
 
-def unchanged(psf: FloatArray) -> FloatArray:
+def unchanged(psf: DoubleArray) -> DoubleArray:
     """Return a PSF that has no symmetry as it is."""
     return psf
 
 
-def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: FloatArray | None = None) -> Segments:
+def polylines(x: DoubleArray, y: DoubleArray, density: DoubleArray, clearance: DoubleArray | None = None) -> Segments:
     """Join the nodes of lines by segments, cut where a clearance falls below zero.
 
     Parameters
@@ -122,7 +119,7 @@ def polylines(x: FloatArray, y: FloatArray, density: FloatArray, clearance: Floa
     return Segments(*(part[:count] for part in found))
 
 
-def tent(u: FloatArray, low: float, high: float) -> FloatArray:
+def tent(u: DoubleArray, low: float, high: float) -> DoubleArray:
     """Map uniform numbers to the tent over [low, high]: densest at its middle, zero at its ends.
 
     Parameters
@@ -143,7 +140,7 @@ def tent(u: FloatArray, low: float, high: float) -> FloatArray:
     return 0.5 * (low + high) + 0.5 * (high - low) * t
 
 
-def lens_chords(u: FloatArray, radius: FloatArray, half_path: FloatArray, angle: FloatArray) -> Segments:
+def lens_chords(u: DoubleArray, radius: DoubleArray, half_path: DoubleArray, angle: DoubleArray) -> Segments:
     """Trace the chords of a thin lens that are parallel to a constant motion, over the whole shutter.
 
     Parameters

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST
-
-Image = npt.NDArray[np.float32]
 
 LEAST_SEEN = 0.3
 """Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
 
-NOTHING = np.zeros((0, 0), np.float32)
-
-__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "NOTHING", "add_layer", "is_opaque"]
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "add_layer", "is_opaque"]
 
 
 def add_layer(

@@ -16,11 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from spreadlets.arrays import Image
 from spreadlets.runtime.finish import _calibration_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
-
-Image = npt.NDArray[np.float32]
 
 SCALES = (16.0, 8.0, 4.0)
 """Standard deviations of the windows, px."""

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 
 if TYPE_CHECKING:
-    from spreadlets.runtime.render import Clock
+    from spreadlets.runtime.clock import Clock
 
-Image = npt.NDArray[np.float32]
 
 SHARP_WINDOW = 5
 """Side of the window, px, in which the share of sharp samples is taken."""

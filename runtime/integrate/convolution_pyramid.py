@@ -31,11 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import solve_dirichlet
 from spreadlets.runtime.integrate import _pyramid_kernels as kernels
 
-Image = NDArray[np.float32]
 Rows = NDArray[np.float32]
 """An image as the kernels see it, of shape (H, W * C)."""
 

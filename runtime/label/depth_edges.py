@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.runtime.label import _edge_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
-Image = npt.NDArray[np.float32]
 Place = npt.NDArray[np.int_]
 
 LEAST_GAP = 1.0

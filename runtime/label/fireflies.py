@@ -11,23 +11,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.runtime.label import _firefly_kernels
 
-Image = npt.NDArray[np.float32]
-
-NO_SHIFT = np.zeros((0, 0, 2), np.float32)
+NO_MOVE = np.zeros((0, 0, 2), np.float32)
 
 
-def clamp_fireflies(samples: Sequence[tuple[Image, Image]], factor: float) -> tuple[list[Image], int]:
+def clamp_fireflies(samples: Sequence[tuple[Image, Image | None]], factor: float) -> tuple[list[Image], int]:
     """Dim samples that are alone with their brightness.
 
     Parameters
     ----------
     samples : sequence of (radiance, shift)
         Colours (H, W, 4), float32, and the way (dx, dy) from each pixel to where it comes from, (H, W, 2), float32,
-        px; `NO_SHIFT` if nothing is moved.
+        px; None if nothing is moved.
     factor : float
         How many times as bright as any other sample within a pixel a sample may be; the others count as no darker than
         the median of all samples that are not black.
@@ -40,7 +38,7 @@ def clamp_fireflies(samples: Sequence[tuple[Image, Image]], factor: float) -> tu
         Number of samples that were dimmed.
     """
     colours = [radiance.copy() for radiance, _ in samples]
-    shifts = [np.ascontiguousarray(shift) for _, shift in samples]
+    shifts = [NO_MOVE if shift is None else np.ascontiguousarray(shift) for _, shift in samples]
     brightest = np.zeros((*colours[0].shape[:2], 2), np.float32)
     for radiance, shift in zip(colours, shifts, strict=True):
         _firefly_kernels.gather_brightest(radiance, shift, brightest)

@@ -6,18 +6,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.model import Angle, PsfModel
 from spreadlets.scene.camera import ThinLens
-
-FloatArray = npt.NDArray[np.float32]
 
 BLOCKS = (1, 2, 4)
 """Sides, px, of blocks of pixels for which a lens may be the same: those that the level of detail can draw as one."""
 LEAST_BLOCKS = 64
 """How many of them there are across the image at least; else they are smaller."""
+
+
+NO_SHIFT = np.zeros((0, 0, 2), np.int32)
+"""The shift of pixels that are drawn where they are."""
 
 
 class View(NamedTuple):

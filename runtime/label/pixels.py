@@ -6,17 +6,14 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from spreadlets.runtime.composite.composite import NOTHING
+from spreadlets.arrays import NOTHING, Image
+from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.depth_edges import split_depth_edges
 from spreadlets.runtime.label.labels import Labels, View
-from spreadlets.runtime.plan import _plan_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.samples import SampleBuffer
-
-Image = npt.NDArray[np.float32]
 
 CHORD_TOLERANCE = 0.5
 """Largest distance, px, of a curved path from the straight lines that it is drawn by."""
@@ -44,10 +41,10 @@ class Pixels(NamedTuple):
 def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
-    Pixels whose depth is a blend of two surfaces are divided between them, see `spreadlets.runtime.label.depth_edges`. Paths that are
-    curved (the motion before the frame's time differs from that after it) become chords of the curve through the three
-    positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn
-    once for each chord they would be ghosts.
+    Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.label.depth_edges`. Paths that
+    are curved (the motion before the frame's time differs from that after it) become chords of the curve through the
+    three positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move:
+    drawn once for each chord they would be ghosts.
     """
     passes = []
     for surface, share in split_depth_edges(layer, camera):
@@ -66,7 +63,7 @@ def _along_paths(
         yield straight, None
         return
     segments = np.empty(layer.shape, np.int32)
-    _plan_kernels.count_segments(
+    _label_kernels.count_segments(
         layer.motion_prev, layer.motion_next, camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS, segments
     )
     largest = int(segments.max())
@@ -86,12 +83,12 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
     coc, length = np.zeros((2, height, width), np.float32)
     view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
     if defocus:
-        _plan_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+        _label_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
     if not motion or not layer.has_motion:
         return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
     path = layer.motion * np.float32(camera.shutter_duration)
-    _plan_kernels.path_lengths(path, length)
+    _label_kernels.path_lengths(path, length)
     return Labels(coc, path, length, shift, view)
 
 
@@ -99,11 +96,11 @@ def _chords(layer: Layer, camera: ThinLens, straight: Labels, count: int) -> Ite
     """Yield the labels of the chords between equal steps of the shutter's time."""
     places = np.empty((count + 1, *layer.motion.shape), np.float32)
     for time, place in zip(np.linspace(*camera.shutter, count + 1), places, strict=True):
-        _plan_kernels.path_places(layer.motion_prev, layer.motion_next, time, place)
+        _label_kernels.path_places(layer.motion_prev, layer.motion_next, time, place)
     for begin, end in zip(places[:-1], places[1:], strict=True):
         path = end - begin
         length = np.empty(layer.shape, np.float32)
-        _plan_kernels.path_lengths(path, length)
+        _label_kernels.path_lengths(path, length)
         yield straight._replace(path=path, length=length, shift=np.float32(0.5) * (begin + end))
 
 
@@ -130,11 +127,11 @@ def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labe
     length = np.empty((height, width), np.float32)
     if samples.coc_radius is None:
         coc = np.empty((height, width), np.float32)
-        _plan_kernels.coc_radii(depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+        _label_kernels.coc_radii(depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
     else:
         coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
     path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
-    _plan_kernels.path_lengths(path, length)
+    _label_kernels.path_lengths(path, length)
     since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
     shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
     shift -= samples.motion[:, :, number] * since_centre[..., None]

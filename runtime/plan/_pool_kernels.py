@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from spreadlets.runtime.plan._plan_kernels import colour_beyond
+from spreadlets.runtime.plan._border_kernels import colour_beyond
 
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.runtime.plan import _plan_kernels
-from spreadlets.runtime.splat.splat import STRIDES, SplatPass
+from spreadlets.arrays import Image
+from spreadlets.runtime.plan import _border_kernels
+from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
-Image = npt.NDArray[np.float32]
 Colours = tuple[Image, Image, Image, Image]
 
 BORDER_STRIP = 8
@@ -51,7 +51,7 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
     nothing = np.zeros((0, 4), np.float32)
-    _plan_kernels.extend_frame(
+    _border_kernels.extend_frame(
         (frame.radiance, share, frame.label),
         colours or (nothing, nothing, nothing, nothing),
         reach,
@@ -71,5 +71,5 @@ def border_colours(radiance: Image) -> Colours:
     colours: list[Image] = []
     for side in (radiance[:BORDER_STRIP], radiance[-BORDER_STRIP:], turned[:BORDER_STRIP], turned[-BORDER_STRIP:]):
         colours.append(np.empty((side.shape[1], 4), np.float32))
-        _plan_kernels.border_colours(np.ascontiguousarray(side), BORDER_MEDIAN // 2, colours[-1])
+        _border_kernels.border_colours(np.ascontiguousarray(side), BORDER_MEDIAN // 2, colours[-1])
     return colours[0], colours[1], colours[2], colours[3]

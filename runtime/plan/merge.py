@@ -15,8 +15,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _merge_kernels
-from spreadlets.runtime.splat.splat import NO_SHIFT, STRIDES, SplatPass
+from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 
 def merge_blocks(

@@ -21,7 +21,7 @@ from spreadlets.runtime.plan.layering import DEFAULT_SOFTNESS, Layering, Members
 from spreadlets.runtime.plan.merge import merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, split_spike, variant_points
-from spreadlets.runtime.splat.splat import PointTable, SplatPass
+from spreadlets.runtime.splat.passes import PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -52,7 +52,7 @@ class Settings:
     Attributes
     ----------
     tolerance : float
-        See `spreadlets.runtime.plan.merge.merge_blocks`.
+        See `runtime.plan.merge.merge_blocks`.
     dense_psf : callable or None
         If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
     border : bool
@@ -60,7 +60,7 @@ class Settings:
     n_layers : int
         Depth layers.
     softness : float
-        See `spreadlets.runtime.plan.layering.Layering`.
+        See `runtime.plan.layering.Layering`.
     stochastic : bool
         Whether the pixels are stochastic samples.
     """
@@ -111,7 +111,7 @@ class Plan:
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
 
-        Pixels that are pooled (`spreadlets.runtime.plan.pool`) count as one.
+        Pixels that are pooled (`runtime.plan.pool`) count as one.
         """
         drawn, splats, merged = np.zeros((3, self.table.n_variants), np.int64)
         for source in (each for levels in self.sources for each in levels):

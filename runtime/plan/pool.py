@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.runtime.plan import _pool_kernels
 from spreadlets.runtime.plan.border import Colours
-from spreadlets.runtime.splat.splat import SplatPass
-
-Image = npt.NDArray[np.float32]
+from spreadlets.runtime.splat.passes import SplatPass
 
 CHUNKS = 16
 """Parts of the rows of pixels that are listed independently; fixed, so that sums are the same for any thread count."""
@@ -38,7 +37,7 @@ class PlacedPixels(NamedTuple):
     steps : ndarray of shape (H, W, 2), int32
         Displacement (row, col) of the splat's centre from the pixel, in 1/16 px.
     colours : tuple of ndarrays, or None
-        What lies beyond the border, see `spreadlets.runtime.plan.border.border_colours`; None to end there.
+        What lies beyond the border, see `runtime.plan.border.border_colours`; None to end there.
     """
 
     radiance: Image

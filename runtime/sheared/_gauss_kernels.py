@@ -560,7 +560,7 @@ def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
         Holds xx, xy and yy of the covariances from a column on.
     column : int
     jobs : tuple
-        See `spreadlets.runtime.sheared._lrdm_kernels.reproject_layers`.
+        See `runtime.sheared._lrdm_kernels.reproject_layers`.
     tile : int
         Side of a tile, px.
     sums, between : ndarray of one dimension, float32

@@ -29,7 +29,7 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, options, sum
     slot : ndarray of shape (P,), int16
         Layer of each partition, negative if it is none of this tile's.
     filters : tuple of three ndarrays of shape (L,), float32
-        Shear, standard deviation on the screen and over the lens, see `spreadlets.runtime.sheared.filters.Filters`.
+        Shear, standard deviation on the screen and over the lens, see `runtime.sheared.filters.Filters`.
     outer : ndarray of shape (4,), int32
         Top, left, bottom, right of the samples to take, px.
     origin : tuple of int

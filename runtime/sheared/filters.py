@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.runtime.sheared.samples import FloatArray
+from spreadlets.arrays import FloatArray
 
 SIGMA_PIXEL = 0.5
 """Standard deviation of the pixel filter, px. SLR gives none; LRDM's 0.33 leaves more noise than it saves sharpness."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray
 from spreadlets.runtime.sheared import _tile_kernels
 from spreadlets.runtime.sheared.partitions import BIN, Partitioning
-from spreadlets.runtime.sheared.samples import FloatArray, Samples
+from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import CELL, Tiling
 
 NONE = -1

@@ -13,12 +13,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray, Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.sheared import _gauss_kernels, _lrdm_kernels
 from spreadlets.runtime.sheared._tile_kernels import N_SUMS
 from spreadlets.runtime.sheared.filters import LARGEST_SIGMA
-from spreadlets.runtime.sheared.method import Image
-from spreadlets.runtime.sheared.samples import FloatArray, Samples
+from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import DEFAULT_TILE, Tiling
 from spreadlets.runtime.sheared.work import WorkSizes
 
@@ -62,7 +62,7 @@ Jobs = tuple[
     npt.NDArray[np.int32],
     npt.NDArray[np.int64],
 ]
-"""See `spreadlets.runtime.sheared._lrdm_kernels.reproject_layers`."""
+"""See `runtime.sheared._lrdm_kernels.reproject_layers`."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ class Tables(NamedTuple):
     own, holes : ndarray of shape (T, P), int16
         Layer that holds a partition's samples, -1 if none; number of layers that they are holes in.
     filters : ndarray of shape (L, 8), float32
-        See `spreadlets.runtime.sheared._lrdm_kernels.ETA`, tile by tile, front to back.
+        See `runtime.sheared._lrdm_kernels.ETA`, tile by tile, front to back.
     first : ndarray of shape (T + 1,), int64
         The layers of a tile are ``first[tile]`` to ``first[tile + 1] - 1``.
     n_used : int
@@ -225,7 +225,7 @@ class Block(NamedTuple):
     first_job : ndarray of shape (t + 1,), int64
         The layers of a tile are jobs ``first_job[tile]`` to ``first_job[tile + 1] - 1``.
     jobs : tuple of arrays
-        See `spreadlets.runtime.sheared._lrdm_kernels.reproject_layers`.
+        See `runtime.sheared._lrdm_kernels.reproject_layers`.
     sums, between : ndarray of one dimension, float32
         Of all layers, one after the other: before and after the first pass of the screen filter.
     """

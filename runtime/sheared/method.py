@@ -7,13 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numba
-import numpy as np
-import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import Tiling
-
-Image = npt.NDArray[np.float32]
 
 
 class TileFilter(Protocol):

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.runtime.sheared.samples import FloatArray, Samples
+from spreadlets.arrays import FloatArray
+from spreadlets.runtime.sheared.samples import Samples
 
 BIN = 0.5
 """px of CoC: edges of partitions and ranges of layers are multiples of it."""

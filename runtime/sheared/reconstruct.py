@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
-from spreadlets.runtime.render import Clock
+from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm
-from spreadlets.runtime.sheared.method import Image, Method
+from spreadlets.runtime.sheared.method import Method
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.slr import Slr
 from spreadlets.scene.camera import ThinLens
@@ -37,7 +38,7 @@ def make_method(name: str, settings: Mapping[str, object]) -> Method:
     name : str
         One of `METHODS`.
     settings : mapping
-        Values by the names of the fields of its dataclass, such as those of `spreadlets.runtime.sheared.slr.Slr`.
+        Values by the names of the fields of its dataclass, such as those of `runtime.sheared.slr.Slr`.
 
     Raises
     ------

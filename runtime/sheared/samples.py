@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray, IntArray
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
-
-FloatArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.sheared import _slr_kernels
 from spreadlets.runtime.sheared.filters import (
@@ -21,7 +22,7 @@ from spreadlets.runtime.sheared.filters import (
     with_uniform_lens,
 )
 from spreadlets.runtime.sheared.layers import Layers, find_layers
-from spreadlets.runtime.sheared.method import Image, run
+from spreadlets.runtime.sheared.method import run
 from spreadlets.runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling

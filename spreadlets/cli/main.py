@@ -190,13 +190,14 @@ def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> 
 
 def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:
     """Print the summary of a database, verified if that is asked for: then a bad one is an error."""
-    from spreadlets.api import plot_database, verify_database
+    from spreadlets.api import DensePsfs, verify_database
     from spreadlets.psf.database import open_database
+    from spreadlets.reports.database_plot import plot_database
 
     verify, jobs = verification
     with open_database(database) as opened:
         if plot:
-            plot_database(opened, plot)
+            plot_database(opened, plot, DensePsfs(opened))
         figures = opened.summary()
         if verify:
             with _progress(f"verifying {opened.path.name}", quiet=as_json) as progress:
@@ -306,7 +307,7 @@ def _synthesise(
     from spreadlets import metrics
     from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
-    from spreadlets.runtime.render import Clock
+    from spreadlets.runtime.clock import Clock
     from spreadlets.scene.camera import read_camera
 
     clock = Clock()
@@ -434,7 +435,7 @@ def reconstruct(
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
     from spreadlets.files.exr_samples import read_samples
-    from spreadlets.runtime.render import Clock
+    from spreadlets.runtime.clock import Clock
     from spreadlets.scene.camera import read_camera
 
     clock = Clock()

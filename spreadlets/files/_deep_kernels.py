@@ -10,9 +10,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from spreadlets.arrays import DoubleArray, IntArray
+
 LayerArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 FRONT, BACK, ALPHA, COLOUR, LABELS = 0, 1, 2, 3, 6
 
@@ -24,7 +24,7 @@ def density(alpha: float) -> float:
 
 
 @numba.njit(cache=True, fastmath=False)
-def merge_into(row: FloatArray, table: FloatArray, share: FloatArray) -> None:
+def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None:
     """Mix parts of samples that fill the same range of depth into one.
 
     Parameters
@@ -75,7 +75,7 @@ def merge_into(row: FloatArray, table: FloatArray, share: FloatArray) -> None:
 
 
 @numba.njit(cache=True, fastmath=False)
-def tidy_pixel(table: FloatArray, out: FloatArray) -> int:
+def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     """Split the samples of a pixel where others begin or end, sort them, and merge those that coincide.
 
     Parameters
@@ -118,7 +118,7 @@ def tidy_pixel(table: FloatArray, out: FloatArray) -> int:
 
 
 @numba.njit(cache=True, fastmath=False)
-def tidy_pixels(start: IntArray, table: FloatArray, out: FloatArray, count: IntArray) -> None:
+def tidy_pixels(start: IntArray, table: DoubleArray, out: DoubleArray, count: IntArray) -> None:
     """Tidy every pixel.
 
     Parameters
@@ -136,7 +136,7 @@ def tidy_pixels(start: IntArray, table: FloatArray, out: FloatArray, count: IntA
 
 
 @numba.njit(cache=True, fastmath=False)
-def composite(near: FloatArray, far: FloatArray) -> None:
+def composite(near: DoubleArray, far: DoubleArray) -> None:
     """Put a nearer sample over a farther one; depth and labels become means by visible alpha. Changes `near`."""
     seen = (1.0 - near[ALPHA]) * far[ALPHA]
     total = near[ALPHA] + seen
@@ -154,7 +154,7 @@ def composite(near: FloatArray, far: FloatArray) -> None:
 
 
 @numba.njit(cache=True, fastmath=False)
-def collect_layers(start: IntArray, table: FloatArray, layer: IntArray, out: LayerArray) -> None:
+def collect_layers(start: IntArray, table: DoubleArray, layer: IntArray, out: LayerArray) -> None:
     """Composite the samples of each pixel that share a layer.
 
     Parameters
@@ -181,7 +181,7 @@ def collect_layers(start: IntArray, table: FloatArray, layer: IntArray, out: Lay
 
 
 @numba.njit(cache=True, fastmath=False)
-def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, seam: FloatArray) -> None:
+def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, seam: DoubleArray) -> None:
     """Count, for every cut, the samples of a pixel that it parts from the nearest in depth of a neighbour's samples.
 
     Parameters
@@ -204,7 +204,7 @@ def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, 
 
 
 @numba.njit(cache=True, fastmath=False)
-def seam_lengths(start: IntArray, bins: IntArray, width: int, seam: FloatArray) -> None:
+def seam_lengths(start: IntArray, bins: IntArray, width: int, seam: DoubleArray) -> None:
     """Add the seams between all neighbouring pixels of an image to `seam`; see `add_seams`."""
     n_pixels = start.size - 1
     for pixel in range(n_pixels):

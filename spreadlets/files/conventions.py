@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.frame import FloatArray
 
 Matrix = tuple[tuple[float, ...], tuple[float, ...]]
 

@@ -15,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
+from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
 from spreadlets.files._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, collect_layers, seam_lengths, tidy_pixels
+from spreadlets.files.atomic import atomic_path
 from spreadlets.files.exr_chunks import DeepPart
-from spreadlets.files.exr_parts import MAX_VALUES, PathLike, Window, atomic_path, library_messages
-from spreadlets.scene.frame import ALPHA_TOLERANCE, FloatArray, Frame
+from spreadlets.files.exr_parts import MAX_VALUES, Window, library_messages
+from spreadlets.scene.frame import ALPHA_TOLERANCE, Frame
 
 DEFAULT_LAYERS = 8
 """Most depth layers that are made of a deep image unless the caller says otherwise: each costs memory for a frame."""

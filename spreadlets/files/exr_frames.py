@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
+from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.files.atomic import atomic_path
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
@@ -32,9 +34,7 @@ from spreadlets.files.deep import DEFAULT_LAYERS, deep_image
 from spreadlets.files.exr_chunks import read_deep_part
 from spreadlets.files.exr_parts import (
     Image,
-    PathLike,
     Plane,
-    atomic_path,
     check_headers,
     check_same_window,
     gather,
@@ -48,9 +48,9 @@ from spreadlets.files.exr_parts import (
     window,
 )
 from spreadlets.files.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
-from spreadlets.metrics import display_encode
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.frame import FloatArray, Frame, Layer, image_array
+from spreadlets.scene.display import display_encode
+from spreadlets.scene.frame import Frame, Layer, image_array
 
 HALF_MAX = float(np.finfo(np.float16).max)
 

@@ -8,23 +8,20 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import secrets
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
+from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError
+from spreadlets.files.atomic import LIBRARY_ERRORS
 from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
-from spreadlets.scene.frame import FloatArray
-
-PathLike = str | os.PathLike[str]
 
 MAX_VALUES = 1 << 30
 """Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
@@ -43,9 +40,6 @@ EXPANSION: Mapping[Any, int] = {
 }
 """Most values of a byte that one stored byte can stand for: runs of 128 in 2 bytes; deflate's 1032, twice that where
 the library drops a byte first. The other compressions have no useful bound."""
-
-LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
-"""What the OpenEXR binding raises on files and headers that it cannot handle."""
 
 _STDERR_DESCRIPTOR = 2
 _STDERR_LOCK = threading.Lock()
@@ -265,24 +259,6 @@ def overlap(display: Window, data: Window) -> tuple[tuple[slice, slice], tuple[s
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
-    """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
-    target = Path(os.path.realpath(path))
-    if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise
-        raise InvalidFileError(f"{path}: cannot be written: it exists and is not a regular file")
-    if not os.path.isdir(target.parent):
-        raise InvalidFileError(f"{path}: cannot be written: there is no folder {target.parent}")
-    temporary = target.with_name(f".spreadlets-{secrets.token_hex(8)}{suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, target)
-    except (OSError, *LIBRARY_ERRORS) as error:
-        raise InvalidFileError(f"{path}: cannot be written: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def part_header() -> dict[str, Any]:

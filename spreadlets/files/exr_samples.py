@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 import OpenEXR
 
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError
+from spreadlets.files.atomic import atomic_path
 from spreadlets.files.exr_parts import (
     Image,
-    PathLike,
-    atomic_path,
     check_same_window,
     gather,
     library_messages,
@@ -22,7 +22,6 @@ from spreadlets.files.exr_parts import (
 )
 from spreadlets.files.tlfr import HEADER_SUFFIX, read_tlfr
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.frame import BoolArray, FloatArray
 from spreadlets.scene.samples import SampleBuffer
 
 CHANNELS: Mapping[str, tuple[str, ...]] = {

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidParameterError
 from spreadlets.files.conventions import motion_labels, planar_depth
 from spreadlets.files.exr_chunks import read_deep_part
 from spreadlets.files.exr_frames import deep_header, layer_images
-from spreadlets.files.exr_parts import Image, PathLike, check_same_window, gather, is_deep, read_headers
+from spreadlets.files.exr_parts import Image, check_same_window, gather, is_deep, read_headers
 from spreadlets.files.exr_samples import read_samples
 from spreadlets.files.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
 from spreadlets.files.tlfr import HEADER_SUFFIX
-from spreadlets.scene.frame import FloatArray
 from spreadlets.scene.samples import SampleBuffer
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.conventions import (
     DEPTH_CONVENTIONS,
@@ -18,7 +19,6 @@ from spreadlets.files.conventions import (
     check_choice,
 )
 from spreadlets.files.exr_parts import Image
-from spreadlets.scene.frame import FloatArray
 
 COLOUR_NAMES = ("Combined.", "rgba.", "beauty.", "")
 """What stands before R, G, B in the main image, behind any layer prefix, if there are no plain R, G, B; first wins."""

@@ -28,10 +28,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
-from spreadlets.files.exr_parts import MAX_VALUES, PathLike, atomic_path
+from spreadlets.files.atomic import atomic_path
+from spreadlets.files.exr_parts import MAX_VALUES
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.frame import FloatArray
 from spreadlets.scene.samples import SampleBuffer
 
 HEADER_SUFFIX = ".header"

@@ -7,11 +7,8 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from spreadlets.arrays import BoolArray, DoubleArray, IntArray
 
 _OCTANT = math.pi / 4.0
 
@@ -34,7 +31,7 @@ def triangular_root(value: float) -> int:
 
 
 @numba.njit(cache=True, fastmath=False)
-def cell_index(coordinate: FloatArray, shape: IntArray, level_offset: IntArray) -> int:
+def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray) -> int:
     """Map a coordinate in grid units to its cell in O(1); coordinates outside the space are clamped into it.
 
     Parameters
@@ -76,7 +73,7 @@ def cell_index(coordinate: FloatArray, shape: IntArray, level_offset: IntArray) 
 
 
 @numba.njit(cache=True, fastmath=False)
-def grid_coordinate(value: float, remap: FloatArray, n_units: int) -> float:
+def grid_coordinate(value: float, remap: DoubleArray, n_units: int) -> float:
     """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
 
     ``remap`` holds the axis's maximum, its power, and its floor on the remapped axis: `psf_model.PsfGrid.remap`.
@@ -93,7 +90,7 @@ def grid_coordinate(value: float, remap: FloatArray, n_units: int) -> float:
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def cell_indices(coordinates: FloatArray, shape: IntArray, level_offset: IntArray) -> IntArray:
+def cell_indices(coordinates: DoubleArray, shape: IntArray, level_offset: IntArray) -> IntArray:
     """Apply `cell_index` to each row of ``coordinates`` (n, n_axes)."""
     out = np.empty(coordinates.shape[0], dtype=np.int64)
     for row in numba.prange(coordinates.shape[0]):
@@ -102,7 +99,7 @@ def cell_indices(coordinates: FloatArray, shape: IntArray, level_offset: IntArra
 
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
-def grid_coordinates(coordinates: FloatArray, remap: FloatArray, shape: IntArray) -> FloatArray:
+def grid_coordinates(coordinates: DoubleArray, remap: DoubleArray, shape: IntArray) -> DoubleArray:
     """Apply `grid_coordinate` to each entry of ``coordinates`` (n, n_axes), physical units."""
     out = np.empty(coordinates.shape, dtype=np.float64)
     for row in numba.prange(coordinates.shape[0]):
@@ -204,7 +201,7 @@ def fold_pose(
 
 @numba.njit(cache=True, fastmath=False, parallel=True)
 def fold_poses(
-    angles: FloatArray, in_front: BoolArray, n_poses: IntArray, codes: tuple[bool, bool, int]
+    angles: DoubleArray, in_front: BoolArray, n_poses: IntArray, codes: tuple[bool, bool, int]
 ) -> tuple[IntArray, BoolArray]:
     """Apply `fold_pose` elementwise; return the numbers (n,) and the three flags as columns (n, 3)."""
     index = np.empty(angles.shape[0], dtype=np.int64)

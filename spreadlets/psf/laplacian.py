@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dstn, idstn, irfft2, next_fast_len, rfft2
 
+from spreadlets.arrays import RealArray
 from spreadlets.errors import InvalidParameterError
 
-FloatArray = NDArray[np.floating]
 Table = NDArray[np.float64]
 Amplitudes = Callable[[Table], tuple[Table, Table]]
 
@@ -31,7 +31,7 @@ _PANEL_NODES = 32
 _WIDEST_PANEL = 0.5
 
 
-def laplacian(image: FloatArray) -> FloatArray:
+def laplacian(image: RealArray) -> RealArray:
     """Apply the 5-point stencil to an image that is zero outside its array.
 
     Parameters
@@ -61,7 +61,7 @@ def laplacian(image: FloatArray) -> FloatArray:
     return out
 
 
-def solve_dirichlet(source: FloatArray, *, workers: int = 1, overwrite: bool = False) -> FloatArray:
+def solve_dirichlet(source: RealArray, *, workers: int = 1, overwrite: bool = False) -> RealArray:
     """Solve `Lap u = source` exactly, with `u = 0` on the ring of pixels just outside the array.
 
     Parameters
@@ -92,11 +92,11 @@ def solve_dirichlet(source: FloatArray, *, workers: int = 1, overwrite: bool = F
     along_rows, along_cols = (_sine_eigenvalues(n).astype(source.dtype) for n in source.shape[:2])
     eigenvalues = along_rows[:, None] + along_cols
     spectrum /= eigenvalues if source.ndim == 2 else eigenvalues[:, :, None]
-    solution: FloatArray = idstn(spectrum, type=1, axes=axes, workers=workers, overwrite_x=True)
+    solution: RealArray = idstn(spectrum, type=1, axes=axes, workers=workers, overwrite_x=True)
     return solution
 
 
-def solve_free_space(source: FloatArray, *, workers: int = 1) -> Table:
+def solve_free_space(source: RealArray, *, workers: int = 1) -> Table:
     """Solve `Lap u = source` in free space by convolution with the lattice Green's function, in float64.
 
     Parameters
@@ -204,7 +204,7 @@ def lattice_biharmonic(radius: int) -> Table:
     return symmetric
 
 
-def _checked(array: FloatArray, name: str) -> FloatArray:
+def _checked(array: RealArray, name: str) -> RealArray:
     array = np.asarray(array)
     if array.ndim not in (2, 3) or array.size == 0 or not np.issubdtype(array.dtype, np.floating):
         raise InvalidParameterError(

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import solve_free_space
-
-FloatArray = npt.NDArray[np.float64]
 
 MOMENT_EXPONENTS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
 """Exponents (of the row, of the column) of the six moments up to second order, in the order `moments` returns them."""
@@ -72,7 +71,7 @@ class Spreadlet:
         rows, columns = np.abs(self.offset_rc.astype(np.int64)).max(axis=0)
         return int(rows), int(columns)
 
-    def to_dense(self, margin: int = 0) -> FloatArray:
+    def to_dense(self, margin: int = 0) -> DoubleArray:
         """Reconstruct the dense PSF with the exact free-space solution.
 
         Parameters
@@ -93,7 +92,7 @@ class Spreadlet:
         image[rows, columns] = self.value
         return image if self.direct else solve_free_space(image)
 
-    def moments(self) -> FloatArray:
+    def moments(self) -> DoubleArray:
         """Moments of the values up to second order, about offset (0, 0).
 
         Returns

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import DoubleArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.files.exr_parts import PathLike, atomic_path
+from spreadlets.files.atomic import atomic_path
 from spreadlets.psf.database import Database
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-FloatArray = npt.NDArray[np.float64]
 
-DensePsf = Callable[[int, int, float], FloatArray]
-"""Traces a PSF again: (cell, direction, scale) to (H, W, C), as `spreadlets.runtime.render.synthesize` takes it."""
+DensePsf = Callable[[int, int, float], DoubleArray]
+"""Traces a PSF again: (cell, direction, scale) to (H, W, C), as `runtime.render.synthesize` takes it."""
 
 N_WORST = 10
 N_COLUMNS = 5
@@ -129,7 +129,7 @@ def _stored(database: Database) -> npt.NDArray[np.bool_]:
     return np.asarray(np.diff(database.point_start) > 0)
 
 
-def _pair(database: Database, spot: _Spot, psf: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _pair(database: Database, spot: _Spot, psf: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Return a PSF and its reconstruction on one window (H, W), averaged over the channels, relative to the peak."""
     spreadlet = database.cell(spot.cell, spot.direction)
     half = np.maximum(np.asarray(psf.shape[:2]) // 2, spreadlet.extent) + MARGIN_PX
@@ -139,7 +139,7 @@ def _pair(database: Database, spot: _Spot, psf: FloatArray) -> tuple[FloatArray,
     return true / peak, approximate / peak
 
 
-def _centred(image: FloatArray, half: npt.NDArray[np.int64]) -> FloatArray:
+def _centred(image: DoubleArray, half: npt.NDArray[np.int64]) -> DoubleArray:
     """Crop or pad an image (H, W, C) of odd sizes about its centre to these half-sizes."""
     missing = half - np.asarray(image.shape[:2]) // 2
     padded = np.pad(image, [*((max(int(n), 0),) * 2 for n in missing), (0, 0)])
@@ -147,7 +147,7 @@ def _centred(image: FloatArray, half: npt.NDArray[np.int64]) -> FloatArray:
     return padded[row : row + 2 * half[0] + 1, col : col + 2 * half[1] + 1]
 
 
-def _show(axes: Axes, image: FloatArray, colours: str, limits: tuple[float, float], label: str) -> None:
+def _show(axes: Axes, image: DoubleArray, colours: str, limits: tuple[float, float], label: str) -> None:
     axes.imshow(image, cmap=colours, vmin=limits[0], vmax=limits[1], interpolation="nearest")
     axes.set(xticks=[], yticks=[])
     axes.set_ylabel(label, fontsize="small", rotation="horizontal", horizontalalignment="right")

@@ -10,7 +10,7 @@ from spreadlets import metrics
 from spreadlets.api import synthesize
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
-from spreadlets.runtime.render import Clock
+from spreadlets.runtime.clock import Clock
 from spreadlets.scene.camera import read_camera
 
 DATA = Path(__file__).resolve().parents[1] / "data"

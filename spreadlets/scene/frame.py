@@ -9,10 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import InvalidFrameError
-
-FloatArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
 ALPHA_TOLERANCE = 1e-3
 """Alpha may leave [0, 1] by this much and is clipped: half floats near 1 step by 5e-4, and filters overshoot."""

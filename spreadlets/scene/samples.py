@@ -7,16 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
-from spreadlets.scene.frame import (
-    ALPHA_TOLERANCE,
-    BACKGROUND_DEPTH,
-    BoolArray,
-    FloatArray,
-    Problem,
-    real_array,
-    replaced,
-)
+from spreadlets.scene.frame import ALPHA_TOLERANCE, BACKGROUND_DEPTH, Problem, real_array, replaced
 
 LENS_TOLERANCE = 1e-3
 """A lens coordinate may leave [-1, 1] by this much: half floats near 1 step by 5e-4."""

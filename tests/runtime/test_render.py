@@ -8,9 +8,10 @@ from reference import capsule_psf, disc_coverage
 
 from spreadlets.api import synthesize as synthesize_any
 from spreadlets.errors import InvalidParameterError
-from spreadlets.metrics import display_encode, psf_l1
+from spreadlets.metrics import psf_l1
 from spreadlets.runtime.plan.variant import in_full, scaled
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import Frame
 
 SIZE = 65

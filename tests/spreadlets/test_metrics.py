@@ -6,6 +6,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from spreadlets import metrics
 from spreadlets.errors import InvalidFrameError
+from spreadlets.scene.display import display_encode
 
 OPTIONS = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1}
 
@@ -24,12 +25,12 @@ def disc(radius, size):
 
 def test_display_encoding_has_the_published_values():
     linear = np.array([-1, 0, 0.0031308, 0.214041, 1, 7])
-    np.testing.assert_allclose(metrics.display_encode(linear), [0, 0, 0.04045, 0.5, 1, 1], atol=1e-5)
-    assert metrics.display_encode(linear.astype(np.float32)).dtype == np.float32
+    np.testing.assert_allclose(display_encode(linear), [0, 0, 0.04045, 0.5, 1, 1], atol=1e-5)
+    assert display_encode(linear.astype(np.float32)).dtype == np.float32
 
 
 def test_ssim_and_psnr_equal_direct_calls(pair):
-    encoded = [metrics.display_encode(image) for image in pair]
+    encoded = [display_encode(image) for image in pair]
     assert metrics.ssim(*pair) == pytest.approx(structural_similarity(*encoded, channel_axis=2, **OPTIONS), abs=1e-6)
     assert metrics.psnr(*pair) == pytest.approx(peak_signal_noise_ratio(encoded[1], encoded[0], data_range=1), rel=1e-6)
 
@@ -44,7 +45,7 @@ def test_flip_grows_with_the_error_and_takes_the_reference_second(pair):
     from flip_evaluator import evaluate
 
     image, reference = pair
-    encoded = [metrics.display_encode(array) for array in (reference, image)]
+    encoded = [display_encode(array) for array in (reference, image)]
     assert metrics.flip(image, reference) == pytest.approx(evaluate(*encoded, "LDR", applyMagma=False)[1])
     assert 0 < metrics.flip(image, reference) < metrics.flip(reference[::-1], reference)
 

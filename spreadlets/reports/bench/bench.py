@@ -8,121 +8,33 @@ import json
 import math
 import os
 import platform
-import statistics
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
-import numpy.typing as npt
 
 from spreadlets import metrics
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import open_database
 from spreadlets.reports.bench.contenders import Contender, contenders, recorded
 from spreadlets.reports.bench.page import save_page, save_pictures
 from spreadlets.reports.bench.plot import save_plots
+from spreadlets.reports.bench.rows import METRICS, Row, front, panels
 from spreadlets.reports.bench.subjects import Subject
 from spreadlets.reports.demo import DATABASE
 
-METRICS = {"ssim": 1, "flip": -1, "psnr": 1, "relmse": -1}
-"""The errors, and whether more is better (1) or less (-1)."""
 ROUNDS, QUICK_ROUNDS = 5, 3
 MOST_SECONDS, QUICK_MOST_SECONDS = 30.0, 4.0
 """A contender that has taken so long is not timed again: three dense images, say, where others are timed five times."""
 FEWEST_RUNS = 2
 PACKAGES = (".", "runtime", "precompute")
 
-Image = npt.NDArray[np.float32]
 Progress = Callable[[int, int], None]
-
-
-@dataclass
-class Row:
-    """What one contender came to on one frame.
-
-    Attributes
-    ----------
-    frame, task, source, method, knob : str
-        See `spreadlets.reports.bench.contenders.Contender`.
-    ssim, flip, psnr, relmse : float
-        NaN where it was not run.
-    runs_s : list of float
-        Seconds of each timed run.
-    note : str
-        Why there is no figure.
-    """
-
-    frame: str
-    task: str
-    source: str
-    method: str
-    knob: str
-    ssim: float = math.nan
-    flip: float = math.nan
-    psnr: float = math.nan
-    relmse: float = math.nan
-    runs_s: list[float] = field(default_factory=list)
-    note: str = ""
-
-    @property
-    def key(self) -> str:
-        """A name of its own."""
-        return "/".join((self.frame, self.task, self.source, self.method, self.knob))
-
-    @property
-    def name(self) -> str:
-        """Method and knob, for people."""
-        return self.method if self.knob == "default" else f"{self.method}, {self.knob}"
-
-    @property
-    def seconds(self) -> float:
-        """The median of the runs, NaN if there are none."""
-        return statistics.median(self.runs_s) if self.runs_s else math.nan
-
-    @property
-    def spread(self) -> tuple[float, float]:
-        """The fastest and the slowest run, s."""
-        return (min(self.runs_s), max(self.runs_s)) if self.runs_s else (math.nan, math.nan)
-
-    @property
-    def measured(self) -> bool:
-        """Whether there are error and time."""
-        return bool(self.runs_s) and not math.isnan(self.ssim)
-
-
-def front(rows: Iterable[Row], metric: str) -> list[Row]:
-    """Return the rows than which none is both faster and better, by rising time.
-
-    Parameters
-    ----------
-    rows : iterable of Row
-        Of one frame, task and source; those without error or time are left out.
-    metric : str
-        A name of `METRICS`.
-    """
-    sign = METRICS[metric]
-    best, kept = -math.inf, []
-    for row in sorted(
-        (row for row in rows if row.measured), key=lambda row: (row.seconds, -sign * getattr(row, metric))
-    ):
-        if sign * getattr(row, metric) > best:
-            best = sign * getattr(row, metric)
-            kept.append(row)
-    return kept
-
-
-def panels(rows: Sequence[Row]) -> dict[tuple[str, str, str], list[Row]]:
-    """Return the rows by what can be compared: frame, task and source."""
-    found: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        if row.source != "render":
-            found.setdefault((row.frame, row.task, row.source), []).append(row)
-    return found
 
 
 class Notebook:

@@ -8,17 +8,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from spreadlets import api
+from spreadlets.arrays import Image
 from spreadlets.files.exr_frames import read_image
 from spreadlets.reports.bench.blender_nodes import run_nodes
 from spreadlets.reports.bench.subjects import Subject
-from spreadlets.runtime.render import Options, reconstruct, synthesize
+from spreadlets.runtime.options import Options
+from spreadlets.runtime.render import reconstruct, synthesize
 from spreadlets.scene.samples import SampleBuffer
-
-Image = npt.NDArray[np.float32]
 
 DEFAULT = "default"
 ONE_FRAME = "one layer"

@@ -8,15 +8,13 @@ import html
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.metrics import display_encode
-
-if TYPE_CHECKING:
-    from spreadlets.reports.bench.bench import Row
+from spreadlets.arrays import Image
+from spreadlets.reports.bench.rows import METRICS, Row, front, panels
+from spreadlets.scene.display import display_encode
 
 DIFFERENCE_GAIN = 4.0
 """Differences of displayed values are shown times this, around grey."""
@@ -25,8 +23,6 @@ TEMPLATE = Path(__file__).with_name("page.html")
 MOST_PICTURES = 14
 """Pictures for each frame, task and input: of the front, then of every method's first setting."""
 REFERENCE = "reference"
-
-Image = npt.NDArray[np.float32]
 
 
 def picture_path(folder: Path, key: str, kind: str) -> Path:
@@ -65,8 +61,6 @@ def save_page(folder: Path, rows: Sequence[Row], lines: Sequence[str], plots: Se
         The summary.
     plots : sequence of path
     """
-    from spreadlets.reports.bench.bench import panels
-
     parts = [f"<h2>Summary</h2><pre>{html.escape(chr(10).join(lines))}</pre>"]
     for path in plots:
         data = base64.b64encode(path.read_bytes()).decode()
@@ -82,8 +76,6 @@ def save_page(folder: Path, rows: Sequence[Row], lines: Sequence[str], plots: Se
 
 def _table(group: Sequence[Row]) -> str:
     """Return the rows as a table, those on a front marked with its metrics."""
-    from spreadlets.reports.bench.bench import METRICS, front
-
     on = {metric: {row.key for row in front(group, metric)} for metric in METRICS}
     head = "".join(f"<th>{name}</th>" for name in ("method", "knob", *METRICS, "seconds", "fastest to slowest", "note"))
     body = []
@@ -100,8 +92,6 @@ def _table(group: Sequence[Row]) -> str:
 
 def _viewer(folder: Path, frame: str, group: Sequence[Row]) -> str:
     """Return a viewer of pictures: result, difference and reference under one zoom and exposure."""
-    from spreadlets.reports.bench.bench import front
-
     first = {row.method: row for row in reversed(group) if row.measured}
     chosen = {row.key: row for row in [*front(group, "ssim"), *first.values()]}
     shown = [row for row in chosen.values() if picture_path(folder, row.key, "image").exists()][:MOST_PICTURES]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from spreadlets.reports.bench.bench import Row
+from spreadlets.reports.bench.rows import METRICS, Row, front, panels
 
 AXES: dict[str, tuple[str, Callable[[float], float]]] = {
     "ssim": ("1 - SSIM", lambda value: 1.0 - value),
@@ -34,8 +33,6 @@ MARKERS = "s^Dv<>pX"
 
 def save_plots(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write a plot for each task and metric to a folder and return their paths."""
-    from spreadlets.reports.bench.bench import METRICS, panels
-
     made = []
     grouped = panels(rows)
     for task in dict.fromkeys(key[1] for key in grouped):
@@ -66,8 +63,6 @@ def _save_plot(path: Path, groups: dict[tuple[str, str, str], list[Row]], metric
 
 def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> None:
     """Draw one panel: points with the range of their times, the front, and the names of those on it."""
-    from spreadlets.reports.bench.bench import front
-
     label, drawn = AXES[metric]
     measured = [row for row in group if row.measured]
     for number, method in enumerate(dict.fromkeys(row.method for row in measured)):

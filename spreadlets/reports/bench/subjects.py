@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.api import DensePsfs, build_database
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_frames import read_frame, read_image
 from spreadlets.files.exr_samples import read_samples
@@ -21,8 +22,6 @@ from spreadlets.reports.demo import DATA, DATABASE
 from spreadlets.scene.camera import ThinLens, read_camera
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
-
-Image = npt.NDArray[np.float32]
 
 Traced = dict[tuple[int, int, float], npt.NDArray[np.float64]]
 

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.metrics import display_encode
 from spreadlets.precompute.sparsify.fit import fit_values, moment_constraints
 from spreadlets.reports.stability.lab import (
     CAMERA,
@@ -24,6 +23,7 @@ from spreadlets.reports.stability.lab import (
     with_camera,
     worst,
 )
+from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import Frame
 
 SIDE = 72

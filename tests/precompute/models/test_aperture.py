@@ -5,7 +5,7 @@ import pytest
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.build.build import model_settings
 from spreadlets.precompute.models.aperture import Aperture, shutter_times
-from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.model import PsfGrid, get_model
 
 L1_BUDGET = 0.01

@@ -23,7 +23,7 @@ from spreadlets.precompute.models.prescription import (
     refractive_index,
     shipped_lenses,
 )
-from spreadlets.precompute.trace.light_tracing import trace_psf
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.scene.camera import ThinLens
 

@@ -9,9 +9,9 @@ from scipy.ndimage import map_coordinates
 
 from spreadlets.errors import InvalidFileError, InvalidParameterError
 from spreadlets.precompute.build.build import build_database, model_settings
+from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.models.stylized import MAX_SIDE, decode, read_settings
 from spreadlets.precompute.sparsify.sparsify import sparsify
-from spreadlets.precompute.trace.light_tracing import trace_psf
 from spreadlets.psf.database import open_database
 from spreadlets.psf.model import get_model
 

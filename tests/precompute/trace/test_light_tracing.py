@@ -5,8 +5,8 @@ import reference
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_similarity
+from spreadlets.precompute.models.registry import psf_footprint, trace_psf
 from spreadlets.precompute.trace._tracing_kernels import deposit_segments
-from spreadlets.precompute.trace.light_tracing import footprint, trace_psf
 from spreadlets.precompute.trace.line_sample import lens_chords, tent
 from spreadlets.psf.model import PsfGrid, PsfModel, get_model
 
@@ -240,6 +240,6 @@ def test_a_psf_too_wide_to_be_traced_is_refused():
 def test_the_footprint_is_about_as_large_as_the_psf():
     model = get_model("combined")
     for box in ([[10.0, 11.0], [0.0, 2.0]], [[30.0, 32.0], [60.0, 64.0]], [[0.0, 1.0], [80.0, 82.0]]):
-        pixels = footprint(model, box, direction=0.0, direction_half_width=0.0, side=1)
+        pixels = psf_footprint(model, box, direction=0.0, direction_half_width=0.0, side=1)
         psf = trace_psf(model, box, rays=20_000)
         assert 0.5 * psf.size < pixels < 2.0 * psf.size

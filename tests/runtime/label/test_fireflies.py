@@ -3,7 +3,7 @@ import pytest
 
 from spreadlets import SampleBuffer, reconstruct, synthesize
 from spreadlets.errors import InvalidParameterError
-from spreadlets.runtime.label.fireflies import NO_SHIFT, clamp_fireflies
+from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -14,7 +14,7 @@ def clamped_naively(samples, factor):
     places, levels = [], []
     for radiance, shift in samples:
         rows, cols = np.indices((height, width)).astype(np.float64)
-        if shift is not NO_SHIFT:
+        if shift is not None:
             rows, cols = rows + shift[..., 1], cols + shift[..., 0]
         rows, cols = np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
         places.append(np.stack([np.floor(rows + 0.5), np.floor(cols + 0.5)], axis=-1).reshape(-1, 2))
@@ -38,7 +38,7 @@ def test_samples_are_dimmed_as_by_a_search_of_all_others(moved):
     for _ in range(3):
         radiance = np.exp(2.0 * rng.normal(size=(9, 11, 4))).astype(np.float32)
         radiance[..., 3] = 1.0
-        shift = rng.uniform(-4, 4, (9, 11, 2)).astype(np.float32) if moved else NO_SHIFT
+        shift = rng.uniform(-4, 4, (9, 11, 2)).astype(np.float32) if moved else None
         samples.append((radiance, shift))
     found, count = clamp_fireflies(samples, 1.5)
     expected = clamped_naively(samples, 1.5)
@@ -54,7 +54,7 @@ def test_a_highlight_that_many_samples_met_stays():
     radiance[4:8, 4:8, :3] = 500.0
     radiance[14, 14, :3] = 500.0
     kept = radiance.copy()
-    (found,), count = clamp_fireflies([(radiance, NO_SHIFT)], 2.0)
+    (found,), count = clamp_fireflies([(radiance, None)], 2.0)
     kept[14, 14, :3] = 0.2
     assert count == 1
     np.testing.assert_allclose(found, kept, rtol=1e-6)
@@ -62,7 +62,7 @@ def test_a_highlight_that_many_samples_met_stays():
 
 
 def test_black_samples_stay_black():
-    (found,), count = clamp_fireflies([(np.zeros((4, 4, 4), np.float32), NO_SHIFT)], 2.0)
+    (found,), count = clamp_fireflies([(np.zeros((4, 4, 4), np.float32), None)], 2.0)
     assert count == 0 and not found.any()
 
 

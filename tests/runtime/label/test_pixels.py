@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from spreadlets.runtime.label._label_kernels import path_places
 from spreadlets.runtime.label.depth_edges import split_depth_edges
-from spreadlets.runtime.plan._plan_kernels import path_places
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spreadlets.runtime.plan.border import border_colours, extended_pass
-from spreadlets.runtime.splat.splat import STRIDES, SplatPass
+from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 
 def test_the_border_is_continued_as_far_as_psfs_reach_back_in_whole_blocks():

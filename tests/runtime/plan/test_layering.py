@@ -13,11 +13,12 @@ from spreadlets.cli.main import cli, main
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
+from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LAST, add_layer
+from spreadlets.runtime.composite.layers import Moments, layer_moments, passing_samples, seen_share
 from spreadlets.runtime.label.labels import Labels, View
-from spreadlets.runtime.plan import _layer_kernels
-from spreadlets.runtime.plan import layering as layers
-from spreadlets.runtime.plan.layering import Layering, Membership, Moments, layer_moments, passing_samples, seen_share
+from spreadlets.runtime.plan import layering
+from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
@@ -142,7 +143,7 @@ def test_the_box_blur_is_two_uniform_filters(half, repeat, mode, shape):
     expected = image.astype(np.float64)
     for _ in range(2):
         expected = ndimage.uniform_filter(expected, 2 * half + 1, mode=mode)
-    _layer_kernels.box_blur(image, half, repeat, np.empty_like(image))
+    _visibility_kernels.box_blur(image, half, repeat, np.empty_like(image))
     assert np.allclose(image, expected, atol=1e-6)
 
 
@@ -191,7 +192,7 @@ def test_the_seen_share_is_blurred_as_the_layer_is():
 @pytest.mark.interpreted
 def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     layer = np.zeros((9, 9), np.int32)
-    layer[4, 4], layer[6, 2] = 1, layers.BEHIND_ALL
+    layer[4, 4], layer[6, 2] = 1, layering.BEHIND_ALL
     offset, lens, time = np.zeros((9, 9, 2), np.float32), np.zeros((9, 9, 2), np.float32), np.zeros((9, 9), np.float32)
     offset[4, 4], lens[4, 4], time[4, 4] = (0.25, 0.0), (0.5, -0.5), 0.5
     moments = Moments(2.0, 0.0, 0.0, (0.0, 4.0))  # x: 4 + 0.25 - 2 * 0.5, y: 4 + 2 * 0.5 - 4 * 0.5
@@ -215,7 +216,7 @@ def test_scattering_keeps_the_number_of_samples():
     offset = place - np.stack(np.indices(shape)[::-1], axis=-1) + coc * lens + motion * time[..., None]
     passing = np.zeros(shape, np.float32)
     sample = offset.astype(np.float32), lens, time
-    _layer_kernels.scatter_passing(tuple(members), 0, sample, (coc, *motion), 0, passing)
+    _visibility_kernels.scatter_passing(tuple(members), 0, sample, (coc, *motion), 0, passing)
     behind = np.where(members.layer == 0, members.farther, 1.0)
     assert passing.sum() == pytest.approx(behind.sum(), rel=1e-5)
     shares_x = passing.sum(axis=0) @ np.arange(15)

@@ -3,15 +3,9 @@ import numpy as np
 import pytest
 from reference_splat import splat_naive
 
-from spreadlets.runtime.splat.splat import (
-    NO_SHIFT,
-    PointTable,
-    SplatPass,
-    canvas_of,
-    find_runs,
-    splat_direct,
-    splat_laplacian,
-)
+from spreadlets.runtime.label.labels import NO_SHIFT
+from spreadlets.runtime.splat.passes import PointTable, SplatPass, canvas_of, find_runs
+from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian
 
 N_LAYERS = 2
 SPARSE = (0, 2)

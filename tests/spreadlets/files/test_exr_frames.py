@@ -8,7 +8,7 @@ from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParame
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import exr_parts as exr_file
 from spreadlets.files.exr_chunks import check_chunks, check_structure
-from spreadlets.metrics import display_encode
+from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import Frame
 
 SHAPE = (5, 7)

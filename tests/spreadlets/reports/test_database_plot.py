@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from skimage.io import imread
 
-from spreadlets.api import plot_database
+from spreadlets.api import DensePsfs
 from spreadlets.cli import main as cli
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import CellRecord, absent_record, open_database, write_database
 from spreadlets.reports import database_plot as plot
+from spreadlets.reports.database_plot import plot_database
 
 ROWS_OF_IMAGES = 3
 STATISTICS_PANELS = 3
@@ -36,7 +37,7 @@ def images(figure, row):
 
 
 def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png")
+    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
     assert len(drawn[0].get_axes()) == STATISTICS_PANELS + ROWS_OF_IMAGES * plot.N_WORST
     pixels = imread(tmp_path / "quality.png")[..., :3]
     assert pixels.shape[:2] == tuple(int(inches * plot.DPI) for inches in plot.FIGURE_INCHES[::-1])
@@ -54,7 +55,7 @@ def counts(figure):
 
 
 def test_histograms_and_scatter_show_every_spreadlet(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png")
+    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
     assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
 
 
@@ -66,13 +67,13 @@ def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn
         cells[cell][1] = CellRecord(cells[cell][1].direction, small_combined.cell(cell, 1), figures)
     write_database(tmp_path / "few.h5", grid, cells, {})
     with open_database(tmp_path / "few.h5") as few:
-        plot_database(few, tmp_path / "quality.png")
+        plot_database(few, tmp_path / "quality.png", DensePsfs(few))
     assert counts(drawn[0]) == [2] * STATISTICS_PANELS
     assert len(images(drawn[0], 0)) == 2
 
 
 def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png")
+    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
     titles = [axes.get_title() for axes in drawn[0].get_axes() if axes.images and axes.get_title()]
     shown = [float(title.split(",")[0]) for title in titles]
     similarity = small_combined.statistics()["ssim"]
@@ -89,7 +90,7 @@ def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_
 def test_an_unwritable_place_is_one_clear_error(small_combined, tmp_path, name):
     (tmp_path / "folder").mkdir()
     with pytest.raises(InvalidParameterError, match="the plot .*cannot be written"):
-        plot_database(small_combined, tmp_path / name)
+        plot_database(small_combined, tmp_path / name, DensePsfs(small_combined))
     assert [path.name for path in tmp_path.rglob("*")] == ["folder"]
 
 

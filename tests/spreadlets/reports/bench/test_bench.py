@@ -14,8 +14,9 @@ from spreadlets.cli.main import cli
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_frames import write_frame, write_image
 from spreadlets.reports.bench import bench, contenders
-from spreadlets.reports.bench.bench import Notebook, Row, front, panels, run_bench, summary, verdicts
+from spreadlets.reports.bench.bench import Notebook, run_bench, summary, verdicts
 from spreadlets.reports.bench.contenders import Contender, missing_for
+from spreadlets.reports.bench.rows import METRICS, Row, front, panels
 from spreadlets.reports.bench.subjects import given_subject, shipped_subject, subjects_in
 from spreadlets.scene.frame import Frame
 
@@ -149,7 +150,7 @@ def test_all_contenders_run_in_turns_and_everything_is_written(folder, monkeypat
     assert "on_front_of" in rows["good", "default"] and "ssim" in rows["good", "default"]["on_front_of"]
     page = (out / "bench.html").read_text()
     assert page.count("data:image/jpeg") == 2 * 2 + 1 and "@BODY@" not in page and 'src="http' not in page
-    for metric in bench.METRICS:
+    for metric in METRICS:
         assert (out / f"synthesis_{metric}.png").stat().st_size > 1000
     assert any("fastest first" in line for line in report["summary"])
 

@@ -1,0 +1,135 @@
+"""The PSF models by name: how each reads its options and traces its PSFs; and the PSF of a cell, traced.
+
+What a model's parameters are, the runtime has to know, too: that is `spreadlets.psf.model.MODELS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import DoubleArray
+from spreadlets.errors import InvalidParameterError
+from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
+from spreadlets.precompute.trace.light_tracing import crop, draw_segments, footprint
+from spreadlets.precompute.trace.line_sample import Painter, Tracer
+from spreadlets.psf.model import PsfModel
+
+
+class ModelEntry(NamedTuple):
+    """What a PSF model needs for a build.
+
+    Attributes
+    ----------
+    read_settings : callable
+        Turns the options of the model into its settings; its keywords are the options that the model has, and if it
+        takes any, those of an aperture.
+    tracer : callable
+        What makes the PSFs of a model on a side of the focus (1 behind, -1 in front).
+    """
+
+    read_settings: Callable[..., dict[str, Any]]
+    tracer: Callable[[PsfModel, int], Tracer | Painter]
+
+
+REGISTRY = {
+    "simplelens": ModelEntry(simplelens.read_settings, simplelens.tracer),
+    "combined": ModelEntry(combined.read_settings, combined.tracer),
+    "physicallens": ModelEntry(physicallens.read_settings, physicallens.tracer),
+    "stylized": ModelEntry(stylized.read_settings, stylized.tracer),
+    "volume": ModelEntry(volume.read_settings, volume.tracer),
+}
+
+
+def trace_psf(
+    model: PsfModel,
+    box: npt.ArrayLike,
+    *,
+    direction: float = 0.0,
+    direction_half_width: float = 0.0,
+    side: int = 1,
+    rays: int | None = None,
+    seed: int = 0,
+) -> DoubleArray:
+    """Trace the PSF of one cell, pre-filtered over the cell.
+
+    Parameters
+    ----------
+    model : PsfModel
+    box : array_like of shape (n_axes, 2)
+        Range of each parameter, physical units; a range of no width is not filtered.
+    direction : float
+        Direction of the motion (dx, dy) = (cos, sin), y down, radians; for models with direction.
+    direction_half_width : float
+        Half-width of the tent over the direction, radians; 0 for no filter.
+    side : int
+        1 behind the focus, -1 in front of it; for models that tell them apart.
+    rays : int, optional
+        Work, in point-equivalent deposits: a segment counts as 1 + its length in px. By default the tracer's own for
+        each pixel of the smallest box along the motion that holds the PSF, and at least
+        `trace.light_tracing.MIN_RAYS`. Models that are not traced by segments count paths.
+    seed : int
+        Of the shift of the low-discrepancy points.
+
+    Returns
+    -------
+    ndarray of shape (H, W, C), float64
+        H and W odd, centred on the mid-shutter position, cropped to the support and 1 px around it. The sum over the
+        pixels, averaged over the channels, is 1.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the model has no tracer, the box is none of the model's, or ``rays`` is below 1.
+
+    Notes
+    -----
+    LKS sections 5.3 and 5.4.
+    """
+    ranges = _checked_box(model, box)
+    if rays is not None and rays < 1:
+        raise InvalidParameterError(f"rays must be at least 1, not {rays}")
+    tracer = REGISTRY[model.name].tracer(model, side)
+    if isinstance(tracer, Painter):
+        psf = tracer.paint(ranges, rays, seed)
+    else:
+        pose = direction, direction_half_width
+        psf = draw_segments(tracer, ranges, pose, rays, seed)
+    return crop(psf * (model.n_channels / psf.sum()))
+
+
+def psf_footprint(
+    model: PsfModel, box: npt.ArrayLike, *, direction: float, direction_half_width: float, side: int
+) -> float:
+    """Return about how many pixels the PSF of a cell covers, without tracing it.
+
+    Parameters
+    ----------
+    model, box, direction, direction_half_width, side
+        As for `trace_psf`.
+
+    Returns
+    -------
+    float
+        See `trace.light_tracing.footprint`; for a model that is not traced by segments the same for all cells.
+    """
+    ranges = _checked_box(model, box)
+    tracer = REGISTRY[model.name].tracer(model, side)
+    return 1.0 if isinstance(tracer, Painter) else footprint(tracer, ranges, direction, direction_half_width)
+
+
+def _checked_box(model: PsfModel, box: npt.ArrayLike) -> DoubleArray:
+    """Return the box as float64 (n_axes, 2), or say why it cannot be traced."""
+    if model.name not in REGISTRY:
+        raise InvalidParameterError(f"no tracer for PSF model {model.name!r}; available: {', '.join(sorted(REGISTRY))}")
+    ranges = np.asarray(box, dtype=np.float64)
+    if ranges.shape != (model.n_axes, 2):
+        raise InvalidParameterError(
+            f"the box of {model.name!r} needs shape ({model.n_axes}, 2), low and high per axis, not {ranges.shape}"
+        )
+    if not (np.isfinite(ranges).all() and (ranges[:, 0] >= 0.0).all() and (ranges[:, 0] <= ranges[:, 1]).all()):
+        raise InvalidParameterError(f"each range of the box needs 0 <= low <= high < inf, not {ranges.tolist()}")
+    return ranges

@@ -1,0 +1,157 @@
+"""Compiled kernels of visibility: the means of each layer, and how much of a layer was seen."""
+
+import math
+
+import numba
+import numpy as np
+
+MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
+"""Columns of `layer_moments`."""
+
+
+@numba.njit(cache=True, fastmath=False)
+def _add_moments(total, weight, coc, length, motion):
+    """Add a pixel to the sums of its layer."""
+    total[0] += weight
+    total[1] += weight * coc
+    total[2] += weight * coc * coc
+    total[3] += weight * length * length
+    total[4] += weight * motion[0]
+    total[5] += weight * motion[1]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def layer_moments(variant, layer, farther, coc, length, motion, n_layers):
+    """Sum, over the pixels of each layer in each row, what `MOMENTS` names; shape (H, n_layers, 6), float64."""
+    total = np.zeros((variant.shape[0], n_layers, 6), np.float64)
+    for row in numba.prange(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            if variant[row, col] < 0:
+                continue
+            for part in range(2):
+                weight = np.float64(farther[row, col]) if part else 1.0 - np.float64(farther[row, col])
+                if weight > 0.0:
+                    each = total[row, layer[row, col] + part]
+                    labels = np.float64(coc[row, col]), np.float64(length[row, col])
+                    _add_moments(each, weight, *labels, motion[row, col])
+    return total
+
+
+@numba.njit(cache=True, fastmath=False)
+def _share_before(layer, farther, number):
+    """Return the share of a pixel that belongs to layers before a number."""
+    if layer >= number:
+        return np.float32(0.0)
+    return np.float32(1.0) - farther if layer == number - 1 else np.float32(1.0)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def seen_share(variant, layer, farther, number, seen):
+    """Fill ``seen`` (H, W), float32, with the share of each pixel that no layer before a number hides."""
+    for row in numba.prange(variant.shape[0]):
+        for col in range(variant.shape[1]):
+            hidden = np.float32(0.0)
+            if variant[row, col] >= 0:
+                hidden = _share_before(layer[row, col], farther[row, col], number)
+            seen[row, col] = np.float32(1.0) - hidden
+
+
+@numba.njit(cache=True, fastmath=False)
+def scatter_passing(members, number, sample, moments, padding, passing):
+    """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
+
+    Parameters
+    ----------
+    members : tuple of ndarrays of shape (H, W)
+        Variant, layer and share of the next one, as for `layer_labels`.
+    number : int
+        The layer.
+    sample : tuple of ndarrays of shapes (H, W, 2), (H, W, 2) and (H, W), float32
+        Where in its pixel each sample was seen, (dx, dy); its place on the lens, and in time from the shutter's centre.
+    moments : tuple of three floats
+        CoC radius of the layer, px, and its motion (dx, dy).
+    padding : int
+        The nearest samples repeat so far beyond the border.
+    passing : ndarray of shape (H + 2 padding, W + 2 padding), float32
+        Accumulated in place; what lies outside is dropped.
+    """
+    variant, layer, farther = members
+    offset, lens_uv, time = sample
+    coc, motion_x, motion_y = moments
+    height, width = passing.shape
+    for padded_row in range(height):
+        row = min(max(padded_row - padding, 0), variant.shape[0] - 1)
+        for padded_col in range(width):
+            col = min(max(padded_col - padding, 0), variant.shape[1] - 1)
+            weight = np.float32(1.0) - _share_before(layer[row, col], farther[row, col], number + 1)
+            if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
+                continue
+            x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0] - motion_x * time[row, col]
+            y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1] - motion_y * time[row, col]
+            left, top = math.floor(x), math.floor(y)
+            if left < -1 or top < -1 or left >= width or top >= height:
+                continue
+            right_share, below_share = np.float32(x - left), np.float32(y - top)
+            for down in range(2):
+                for right in range(2):
+                    i, j = int(top) + down, int(left) + right
+                    if 0 <= i < height and 0 <= j < width:
+                        across = right_share if right else np.float32(1.0) - right_share
+                        along = below_share if down else np.float32(1.0) - below_share
+                        passing[i, j] += weight * across * along
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def _box_rows(image, half, repeat, out):
+    """Average each row over ``2 half + 1`` pixels; beyond the ends the last pixel repeats, or there is nothing."""
+    height, width = image.shape
+    scale = 1.0 / (2 * half + 1)
+    for row in numba.prange(height):
+        first = np.float64(image[row, 0]) if repeat else 0.0
+        last = np.float64(image[row, width - 1]) if repeat else 0.0
+        total = first * half
+        for col in range(half + 1):
+            total += image[row, col] if col < width else last
+        for col in range(width):
+            out[row, col] = total * scale
+            gone, come = col - half, col + half + 1
+            total += (image[row, come] if come < width else last) - (image[row, gone] if gone >= 0 else first)
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def _box_columns(image, half, repeat, out):
+    """Do as `_box_rows` for columns, in stripes of neighbouring ones."""
+    height, width = image.shape
+    scale = 1.0 / (2 * half + 1)
+    stripe = 64
+    for number in numba.prange((width + stripe - 1) // stripe):
+        begin, end = number * stripe, min((number + 1) * stripe, width)
+        total = np.zeros(stripe, np.float64)
+        for row in range(-half, half + 1):
+            if repeat or 0 <= row < height:
+                clamped = min(max(row, 0), height - 1)
+                for col in range(begin, end):
+                    total[col - begin] += image[clamped, col]
+        for row in range(height):
+            gone, come = row - half, row + half + 1
+            for col in range(begin, end):
+                out[row, col] = total[col - begin] * scale
+            if repeat or come < height:
+                clamped = min(come, height - 1)
+                for col in range(begin, end):
+                    total[col - begin] += image[clamped, col]
+            if repeat or gone >= 0:
+                clamped = max(gone, 0)
+                for col in range(begin, end):
+                    total[col - begin] -= image[clamped, col]
+
+
+@numba.njit(cache=True, fastmath=False)
+def box_blur(image, half, repeat, spare):
+    """Blur an image (H, W), float32, in place by a box of ``2 half + 1`` px, twice; ``spare`` is of its shape.
+
+    Sums run in float64: what has been added cancels exactly for shares and counts.
+    """
+    for _ in range(2):
+        _box_rows(image, half, repeat, spare)
+        _box_columns(spare, half, repeat, image)

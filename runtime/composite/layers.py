@@ -1,0 +1,89 @@
+"""Means over depth layers, and how much of each was seen, blurred as the layer is (LKS section 6.2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
+from spreadlets.runtime.composite import _visibility_kernels
+from spreadlets.runtime.label.labels import Labels
+from spreadlets.runtime.plan.layering import Membership
+
+BOX_PER_DEVIATION = float(np.sqrt(1.5))
+"""Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
+
+
+class Moments(NamedTuple):
+    """Means over the pixels of a layer: CoC radius, px; its square; the squared path length; motion (dx, dy)."""
+
+    coc: float
+    coc_squared: float
+    length_squared: float
+    motion: tuple[float, float]
+
+    def box_half_width(self) -> int:
+        """Half-width, px, of the box that blurs, applied twice, as the layer's PSFs do in the mean."""
+        # A disc of radius r has the variance r^2 / 4 along each axis, a path of length l the mean variance l^2 / 24.
+        deviation = np.sqrt(self.coc_squared / 4.0 + self.length_squared / 24.0)
+        return max(0, round(BOX_PER_DEVIATION * float(deviation) - 0.5))
+
+
+def layer_moments(passes: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
+    """Return the means of each layer over passes of labels, motions (H, W, 2) and members; None for empty layers."""
+    total = sum(
+        _visibility_kernels.layer_moments(*members, labels.coc, labels.length, motion, n_layers).sum(axis=0)
+        for labels, motion, members in passes
+    )
+    return [_means(each) if each[0] > 0 else None for each in np.asarray(total)]
+
+
+def _means(total: npt.NDArray[np.float64]) -> Moments:
+    coc, coc_squared, length_squared, x, y = (float(each) for each in total[1:] / total[0])
+    return Moments(coc, coc_squared, length_squared, (x, y))
+
+
+def seen_share(members: Membership, number: int, moments: Moments) -> Image:
+    """Return the share of a layer that nearer ones did not hide, blurred as the layer is, shape (H, W)."""
+    seen = np.empty(members.variant.shape, np.float32)
+    _visibility_kernels.seen_share(*members, number, seen)
+    _blur(seen, moments, repeat=True)
+    return seen
+
+
+def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:
+    """Return the number of samples that passed a layer, blurred as the layer is, shape (H, W).
+
+    Beyond the frame's border the nearest samples repeat, as they do for splats.
+
+    Parameters
+    ----------
+    passes : sequence of (members, offset, lens_uv, time)
+        The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time.
+    number : int
+    moments : Moments
+        Of the layer: where a sample passed through it is taken from its mean CoC and motion.
+    """
+    farthest = max(
+        float(np.abs(offset).max()) + abs(moments.coc) + max(map(abs, moments.motion)) * float(np.abs(time).max())
+        for _, offset, _, time in passes
+    )
+    padding = 2 * moments.box_half_width() + math.ceil(farthest) + 1
+    height, width = passes[0][0].variant.shape
+    passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
+    layer = moments.coc, *moments.motion
+    for members, *sample in passes:
+        _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
+    _blur(passing, moments, repeat=False)
+    return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
+
+
+def _blur(image: Image, moments: Moments, *, repeat: bool) -> None:
+    half = moments.box_half_width()
+    if half:
+        _visibility_kernels.box_blur(image, half, repeat, np.empty_like(image))
+    np.clip(image, 0.0, None, out=image)

@@ -1,0 +1,91 @@
+"""Visibility: how much of each depth layer nearer ones leave to be seen, of a frame and of stochastic samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from spreadlets.arrays import Image
+from spreadlets.runtime.composite import layers
+from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN
+from spreadlets.runtime.label.pixels import Pixels, sample_pixels
+from spreadlets.runtime.plan.layering import BEHIND_ALL
+from spreadlets.runtime.plan.plan import Plan
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.samples import SampleBuffer
+
+LEAST_SAMPLES = 4.0
+"""Samples that must have met a layer, or passed it, for a pixel to stand for itself."""
+
+
+class HiddenShare:
+    """How much of each layer of a frame nearer layers leave to be seen."""
+
+    kind = COVERAGE
+    least = LEAST_SEEN
+
+    def __init__(self, passes: Sequence[Pixels], plan: Plan) -> None:
+        # All passes are of the same pixels: they differ in their motion.
+        variant = np.max([each.variant for each in plan.members], axis=0)
+        self.members = plan.members[0]._replace(variant=variant)
+        labels = passes[0].labels
+        self.moments = layers.layer_moments([(labels, labels.path, self.members)], plan.n_layers)
+
+    def seen(self, number: int) -> Image | None:
+        """Return the share of a layer that was seen, or None if it was all seen."""
+        moments = self.moments[number]
+        if moments is None or all(each is None for each in self.moments[:number]):
+            return None
+        return layers.seen_share(self.members, number, moments)
+
+
+class PassingSamples:
+    """How many samples have passed each layer."""
+
+    kind = COUNT
+    least = LEAST_SAMPLES
+
+    def __init__(
+        self, samples: SampleBuffer, camera: ThinLens, passes: Sequence[Pixels], plan: Plan, *, defocus: bool
+    ) -> None:
+        self.members = []
+        for number, members in enumerate(plan.members):
+            met_nothing = samples.valid[:, :, number] & (samples.radiance[:, :, number, 3] == 0)
+            layer = np.where(samples.valid[:, :, number], members.layer, np.int32(0))  # a missing one passes nothing
+            layer = np.where(met_nothing, np.int32(BEHIND_ALL), layer)
+            self.members.append(members._replace(layer=layer))
+        self.samples, self.camera = samples, camera
+        self.moments = self._moments(passes, plan.n_layers)
+        if not defocus:
+            # They passed the layers through the lens that took them, even where its blur is taken out of the image.
+            taken = self._moments(sample_pixels(samples, camera, defocus=True, motion=False), plan.n_layers)
+            self.moments = [
+                None if mean is None or through is None else mean._replace(coc=through.coc)
+                for mean, through in zip(self.moments, taken, strict=True)
+            ]
+
+    def _moments(self, passes: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
+        motion = np.ascontiguousarray(np.moveaxis(self.samples.motion, 2, 0))
+        return layers.layer_moments(
+            [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], n_layers
+        )
+
+    def seen(self, number: int) -> Image | None:
+        """Return the number of samples that passed a layer."""
+        moments = self.moments[number]
+        if moments is None:
+            return None
+        samples = self.samples
+        since_centre = samples.time - np.float32(self.camera.shutter_centre)
+        return layers.passing_samples(
+            [
+                (members, samples.offset[:, :, i], samples.lens_uv[:, :, i], since_centre[:, :, i])
+                for i, members in enumerate(self.members)
+            ],
+            number,
+            moments,
+        )
+
+
+View = HiddenShare | PassingSamples

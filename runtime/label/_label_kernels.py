@@ -1,0 +1,89 @@
+"""Compiled kernels of the label step: radii of circles of confusion, lengths of paths, chords of curved paths."""
+
+import math
+
+import numba
+import numpy as np
+
+MOST_GROWTH = 2.0
+"""Change of speed over a frame from which a motion no longer changes evenly."""
+MOST_TURN = 0.8 * math.pi
+"""Turn over a frame from which it cannot be told to which side it was."""
+LEAST_CHANGE = 1e-3
+"""Relative change of the velocity below which all paths are the same to single precision."""
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def coc_radii(depth, scale, inverse_focus, coc):
+    """Fill ``coc`` (H, W), float32, with ``scale * (inverse_focus - 1 / depth)``: signed CoC radii, px."""
+    for row in numba.prange(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            coc[row, col] = scale * (inverse_focus - 1.0 / np.float64(depth[row, col]))
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def count_segments(before, after, time, tolerance, most, segments):
+    """Fill ``segments`` (H, W), int32, with the number, a power of 2, of chords that follow each path closely enough.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion to the frame's time and from it, px per frame.
+    time : float
+        Duration of the shutter, frames.
+    tolerance : float
+        Largest distance of the path from its chords, px.
+    most : int
+        Largest number.
+    """
+    for row in numba.prange(before.shape[0]):
+        for col in range(before.shape[1]):
+            x = np.float64(after[row, col, 0]) - np.float64(before[row, col, 0])
+            y = np.float64(after[row, col, 1]) - np.float64(before[row, col, 1])
+            # A parabola is farthest from its chord at half time, by acceleration time^2 / 8; halving divides by 4.
+            distance = 0.125 * time * time * math.sqrt(x * x + y * y)
+            count = 1
+            while count < most and distance > tolerance:
+                count *= 2
+                distance *= 0.25
+            segments[row, col] = count
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def path_places(before, after, time, place):
+    """Fill ``place`` (H, W, 2), float32, with where each path leads in a time, px from where it is at time 0.
+
+    The path leads through the places one frame before and after. It is the one whose velocity turns and grows evenly,
+    with ``q = after / before`` as complex numbers: ``after (q^time - 1) / (q - 1)``, an arc for what turns at constant
+    speed. Where the velocity changes by too much for that to mean something (a start, a stop, a bounce), it is a
+    parabola, and so it is where the two are the same.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion to the frame's time and from it, px per frame.
+    time : float
+        Frames.
+    """
+    for row in numba.prange(before.shape[0]):
+        for col in range(before.shape[1]):
+            p = complex(before[row, col, 0], before[row, col, 1])
+            n = complex(after[row, col, 0], after[row, col, 1])
+            z = 0.5 * time * (n + p) + 0.5 * time * time * (n - p)
+            if p != 0.0:
+                q = n / p
+                growth, turn = abs(q), math.atan2(q.imag, q.real)
+                even = 1.0 / MOST_GROWTH < growth < MOST_GROWTH and abs(turn) < MOST_TURN
+                if even and abs(q - 1.0) > LEAST_CHANGE:
+                    size, angle = growth**time, turn * time
+                    z = n * (complex(size * math.cos(angle), size * math.sin(angle)) - 1.0) / (q - 1.0)
+            place[row, col, 0], place[row, col, 1] = z.real, z.imag
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def path_lengths(path, length):
+    """Fill ``length`` (H, W), float32, with the lengths of the paths (H, W, 2), px."""
+    for row in numba.prange(path.shape[0]):
+        for col in range(path.shape[1]):
+            x, y = np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
+            length[row, col] = math.sqrt(x * x + y * y)

@@ -1,0 +1,103 @@
+"""Compiled kernels that continue a frame beyond its border."""
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, fastmath=False)
+def _median(values, n):
+    """Return the median of the first n values, sorting them in place."""
+    for i in range(1, n):
+        each = values[i]
+        k = i
+        while k > 0 and values[k - 1] > each:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = each
+    return np.float32(0.5) * (values[(n - 1) // 2] + values[n // 2])
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def border_colours(strip, half, colour):
+    """Take the median of a strip across the border, then along it.
+
+    Parameters
+    ----------
+    strip : ndarray of shape (n, W, 4), float32
+        Pixels along a border.
+    half : int
+        The second median is over ``2 half + 1`` pixels, repeating the last at the ends.
+    colour : ndarray of shape (W, 4), float32
+        Filled.
+    """
+    n, width = strip.shape[:2]
+    across = np.empty((width, 4), np.float32)
+    for col in numba.prange(width):
+        values = np.empty(n, np.float32)
+        for c in range(4):
+            for i in range(n):
+                values[i] = strip[i, col, c]
+            across[col, c] = _median(values, n)
+    for col in numba.prange(width):
+        values = np.empty(2 * half + 1, np.float32)
+        for c in range(4):
+            for i in range(2 * half + 1):
+                values[i] = across[min(max(col + i - half, 0), width - 1), c]
+            colour[col, c] = _median(values, 2 * half + 1)
+
+
+@numba.njit(cache=True, fastmath=False)
+def colour_beyond(colours, down, right, row, col):
+    """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
+    above, below, before, behind = colours
+    if down < row:
+        return above[col]
+    if down > row:
+        return below[col]
+    return before[row] if right < col else behind[row]
+
+
+@numba.njit(cache=True, fastmath=False, parallel=True)
+def extend_frame(frame, colours, reach, origin, extended):
+    """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
+
+    Parameters
+    ----------
+    frame : tuple of three ndarrays
+        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32.
+    colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
+        What lies above, below, left and right of the frame.
+    reach : ndarray of shape (n_variants,), int64
+        How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
+    origin : tuple of two ints
+        Row and column, in the frame, of the first extended pixel.
+    extended : tuple of two ndarrays
+        Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours stay as
+        they were.
+    """
+    radiance, share, label = frame
+    above, below, before, behind = colours
+    out_radiance, out_label = extended
+    height, width = label.shape
+    for i in numba.prange(out_label.shape[0]):
+        down = origin[0] + i
+        row = min(max(down, 0), height - 1)
+        for j in range(out_label.shape[1]):
+            right = origin[1] + j
+            col = min(max(right, 0), width - 1)
+            index = label[row, col]
+            weight = share[row, col] if share.shape[0] else np.float32(1.0)
+            distance = max(abs(down - row), abs(right - col))
+            if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
+                out_label[i, j] = -1
+                continue
+            if distance == 0:
+                out_label[i, j] = index
+                for c in range(4):
+                    out_radiance[i, j, c] = weight * radiance[row, col, c]
+                continue
+            colour = colour_beyond((above, below, before, behind), down, right, row, col)
+            dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
+            out_label[i, j] = -1 if dark else index
+            for c in range(4):
+                out_radiance[i, j, c] = weight * colour[c]

@@ -1,0 +1,204 @@
+"""What is drawn: points of PSF variants, passes of labelled pixels, and their runs of like pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
+from spreadlets.runtime.label.labels import NO_SHIFT
+from spreadlets.runtime.splat import _splat_kernels
+
+STRIDES = (1, 2, 4)
+"""Sides of the blocks, px, that can be drawn as one."""
+
+
+class Spans(NamedTuple):
+    """Direct points that are neighbours in rows: see `runtime.splat._splat_kernels.splat_spans`.
+
+    Attributes
+    ----------
+    places : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
+        Row and column of each span's first point; where its points begin.
+    value : ndarray of shape (n_points * 4,), float32
+        Values of the points for R, G, B and alpha.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        Where the spans of each variant begin.
+    """
+
+    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+    value: Image
+    span_of_variant: npt.NDArray[np.int64]
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """The largest row of a span, up or down, and the most points of a span."""
+        row, _, start = self.places
+        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
+
+
+@dataclass(frozen=True, eq=False)
+class PointTable:
+    """The points of all variants of a plan, concatenated; each variant's points are sorted by row.
+
+    Attributes
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+        Offsets from the splat's centre, px.
+    value : ndarray of shape (n_points, C), float32
+        Values; C is 1 or 3.
+    point_start : ndarray of shape (n_variants + 1,), int64
+        The points of variant i are ``point_start[i]`` to ``point_start[i + 1]``.
+    direct : ndarray of shape (n_variants,), bool
+        Whether a variant's points are the PSF itself rather than its Laplacian.
+    """
+
+    offset_rc: npt.NDArray[np.int32]
+    value: Image
+    point_start: npt.NDArray[np.int64]
+    direct: npt.NDArray[np.bool_]
+
+    @property
+    def n_variants(self) -> int:
+        """Number of variants."""
+        return len(self.direct)
+
+    @property
+    def n_points(self) -> npt.NDArray[np.int64]:
+        """Number of points of each variant, shape (n_variants,)."""
+        return np.diff(self.point_start)
+
+    @cached_property
+    def reaches(self) -> npt.NDArray[np.int64]:
+        """The largest distance, in rows or columns, from a splat's centre to a point of each variant, px."""
+        if not len(self.direct):
+            return np.zeros(0, np.int64)
+        return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
+
+    @cached_property
+    def lanes(self) -> Image:
+        """The values as kernels take them: of shape (n_points, 1), or (n_points, 4) with the mean for alpha."""
+        if self.value.shape[1] == 1:
+            return self.value
+        return np.concatenate([self.value, self.value.mean(axis=1, keepdims=True)], axis=1)
+
+    @cached_property
+    def spans(self) -> Spans:
+        """The points of direct variants, those grouped that are neighbours in a row."""
+        row, col = self.offset_rc[np.repeat(self.direct, self.n_points)].T.astype(np.int64)
+        point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
+        breaks = np.ones(len(row), np.bool_)
+        breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
+        breaks[point_start[point_start < len(row)]] = True
+        first = np.flatnonzero(breaks)
+        start = np.append(first, len(row))
+        value = np.empty((len(row), 4), np.float32)
+        value[:] = self.lanes[np.repeat(self.direct, self.n_points)]
+        return Spans((row[first], col[first], start), value.reshape(-1), np.searchsorted(first, point_start))
+
+    @cached_property
+    def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
+        """Where the points of each row of each variant begin: see `runtime.splat._splat_kernels.rows_of_points`."""
+        base = np.concatenate([[0], np.cumsum(2 * self.reaches + 2)]).astype(np.int64)
+        first = np.empty(base[-1], np.int64)
+        _splat_kernels.rows_of_points(self.offset_rc, self.point_start, self.reaches, base, first)
+        return self.point_start, first, base, self.reaches
+
+
+class SplatPass(NamedTuple):
+    """One rectangle of labelled pixels to be drawn: where, what, with which variant, and shifted by how much.
+
+    Attributes
+    ----------
+    origin : tuple of two ints
+        Row and column of the rectangle's first pixel in the frame; negative beyond its border. The column is a multiple
+        of 4 where there are blocks, see `canvas_of`.
+    radiance : ndarray of shape (H, W, 4), float32
+        Premultiplied colour, C-contiguous.
+    label : ndarray of shape (H, W), int32
+        ``layer * n_variants + variant`` of each pixel, negative where nothing is drawn.
+    shift : ndarray of shape (H, W, 2), int32, or `NO_SHIFT`
+        Displacement (row, col) of the splat's centre from the pixel, px.
+    stride : int
+        Distance of neighbouring pixels in the frame, px: above 1 they stand for the first pixels of blocks.
+    """
+
+    origin: tuple[int, int]
+    radiance: Image
+    label: npt.NDArray[np.int32]
+    shift: npt.NDArray[np.int32] = NO_SHIFT
+    stride: int = 1
+
+
+class Runs(NamedTuple):
+    """The runs of like pixels of a pass, by group: ``2 * layer``, plus 1 where the variant is direct.
+
+    Attributes
+    ----------
+    source : SplatPass
+    runs : ndarray of shape (n_runs, 5), int32
+        See `runtime.splat._splat_kernels.RUN_SOURCE`; sorted by group, then by row.
+    start : ndarray of shape (n_groups + 1,), int64
+        Where the runs of each group begin.
+    """
+
+    source: SplatPass
+    runs: npt.NDArray[np.int32]
+    start: npt.NDArray[np.int64]
+
+    def of(self, group: int) -> npt.NDArray[np.int32]:
+        """Return the runs of a group."""
+        return self.runs[self.start[group] : self.start[group + 1]]
+
+
+class Canvas(NamedTuple):
+    """A rectangle of the frame, px; it may reach beyond the frame's border."""
+
+    top: int
+    left: int
+    rows: int
+    cols: int
+
+
+def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
+    """List the runs of neighbouring pixels of a pass that share a label and a shift."""
+    group = (2 * np.arange(n_layers)[:, None] + table.direct).astype(np.int64).ravel()
+    count = np.empty((2 * n_layers, source.label.shape[0]), np.int64)
+    _splat_kernels.count_runs(source.label, source.shift, group, count)
+    ends = np.cumsum(count.ravel())
+    start = np.concatenate([[0], ends[count.shape[1] - 1 :: count.shape[1]]])
+    runs = np.empty((int(start[-1]), 5), np.int32)
+    first = (ends - count.ravel()).reshape(count.shape)
+    place = 0, *source.origin, source.stride
+    _splat_kernels.list_runs(source.label, source.shift, group, first, place, table.n_variants, runs)
+    if source.shift is not NO_SHIFT:
+        for begin, end in zip(start[:-1], start[1:], strict=True):
+            runs[begin:end] = runs[begin:end][np.argsort(runs[begin:end, _splat_kernels.RUN_ROW], kind="stable")]
+    return Runs(source, runs, start)
+
+
+def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable, margin: int) -> Canvas | None:
+    """Return the rectangle that holds all splats of some groups and a margin, or None if there are no splats.
+
+    Its columns fit blocks of any stride, whose passes start at columns that are multiples of the largest.
+    """
+    bounds = [
+        _splat_kernels.run_bounds(each.of(group), table.reaches, each.source.stride)
+        for each in sources
+        for group in groups
+        if len(each.of(group))
+    ]
+    if not bounds:
+        return None
+    top, left, bottom, right = (
+        int(pick(side)) for pick, side in zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
+    )
+    left -= margin
+    left -= left % STRIDES[-1]
+    cols = right + margin - left
+    return Canvas(top - margin, left, bottom - top + 2 * margin, cols + -cols % STRIDES[-1])

@@ -1,0 +1,31 @@
+"""Files that appear whole or not at all."""
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+from spreadlets.arrays import PathLike
+from spreadlets.errors import InvalidFileError
+
+LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
+"""What the OpenEXR binding raises on files and headers that it cannot handle."""
+
+
+@contextlib.contextmanager
+def atomic_path(path: PathLike, suffix: str) -> Iterator[Path]:
+    """Give a temporary path in the target's folder; it becomes the target on success, and is removed on failure."""
+    target = Path(os.path.realpath(path))
+    if os.path.exists(target) and not os.path.isfile(target):  # unlike Path's, these never raise
+        raise InvalidFileError(f"{path}: cannot be written: it exists and is not a regular file")
+    if not os.path.isdir(target.parent):
+        raise InvalidFileError(f"{path}: cannot be written: there is no folder {target.parent}")
+    temporary = target.with_name(f".spreadlets-{secrets.token_hex(8)}{suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    except (OSError, *LIBRARY_ERRORS) as error:
+        raise InvalidFileError(f"{path}: cannot be written: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)

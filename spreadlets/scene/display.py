@@ -1,0 +1,29 @@
+"""From linear values to what a display shows."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+def display_encode(image: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """Return linear values in sRGB encoding, clipped to [0, 1].
+
+    Parameters
+    ----------
+    image : array_like of any shape
+        Linear values; NaN stays NaN.
+
+    Returns
+    -------
+    ndarray of the same shape, float32 for float32 input, else float64
+
+    Notes
+    -----
+    IEC 61966-2-1: linear below 0.0031308, a power of 1/2.4 above.
+    """
+    values = np.asarray(image)
+    dtype = np.float32 if values.dtype == np.float32 else np.float64
+    linear = np.clip(values.astype(dtype, copy=False), 0, 1)
+    curved = 1.055 * np.power(linear, 1 / 2.4) - 0.055
+    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), dtype=dtype)
