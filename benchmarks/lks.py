@@ -188,8 +188,8 @@ def figure_11(database: sp.Database) -> list[str]:
     frame, coc = lines_frame()
     images = {"exact": exact_lines(frame, coc, database)}
     for name, psfs in (("with", DensePsfs(database)), ("without", MidpointPsfs(database))):
-        options = Options(n_layers=1, tolerance=0.0, dense_psf=psfs)
-        images[name] = synthesize(frame, CAMERA, database, options)[0][..., :3]
+        options = Options(layers=1, tolerance=0.0, method="dense")
+        images[name] = synthesize(frame, CAMERA, database, options, dense_psf=psfs)[0][..., :3]
     zoomed = {name: np.kron(image, np.ones((ZOOM, ZOOM, 1))) for name, image in images.items()}
     save_pictures(RESULTS / "lks_fig11.png", [zoomed["with"], zoomed["without"]], zoomed["exact"], shrink=1)
     lines = ["| lines on a slant, CoC 3 to 20 px | largest step between columns | mean error |", "|---|---|---|"]

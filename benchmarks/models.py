@@ -185,7 +185,7 @@ def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs
         warnings.simplefilter("ignore")
         sp.synthesize(frame, camera, database)
         image, report = sp.synthesize(frame, camera, database, report=True)
-        dense, dense_report = synthesize(frame, camera, database, Options(dense_psf=dense_psf))
+        dense, dense_report = synthesize(frame, camera, database, Options(method="dense"), dense_psf=dense_psf)
     figures = sp.metrics.compare(image, dense)
     splat, dense_splat = (each["time_s"]["splat"] + each["time_s"]["integrate"] for each in (report, dense_report))
     points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size

@@ -121,19 +121,20 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
             sp.build_database("combined", path, frames=[frame], camera=camera, **sizes)
         with sp.open_database(path) as database:
             options = {
-                "dense": Options(dense_psf=DenseCache(database, by_rows=False), n_layers=layers),
-                "rows": Options(dense_psf=DenseCache(database, by_rows=True), n_layers=layers),
-                "exact": Options(tolerance=0.0, n_layers=layers),
-                "default": Options(n_layers=layers),
+                "dense": Options(method="dense", layers=layers),
+                "rows": Options(method="dense-rows", layers=layers),
+                "exact": Options(tolerance=0.0, layers=layers),
+                "default": Options(layers=layers),
             }
-            for each in options.values():
-                synthesize(frame, camera, database, each)
+            psfs = {name: DenseCache(database, by_rows=name == "rows") for name in ("dense", "rows")}
+            for name, each in options.items():
+                synthesize(frame, camera, database, each, dense_psf=psfs.get(name))
             times: dict[str, list[dict[str, float]]] = {method: [] for method in options}
             results = {}
             for _ in range(rounds):
                 for method, each in options.items():
                     clock = Clock()
-                    image, report = synthesize(frame, camera, database, each, clock)
+                    image, report = synthesize(frame, camera, database, each, clock, psfs.get(method))
                     times[method].append(clock.times())
                     results[method] = image, report["plan"]
     steps = {m: {s: statistics.median(t[s] for t in each) for s in each[0]} for m, each in times.items()}

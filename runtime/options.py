@@ -1,24 +1,40 @@
-"""How to render: one set of options from the public functions to the plan."""
+"""How to render: one set of options from the command line to the plan, with their names, ranges and defaults."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypedDict
 
-from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
-from spreadlets.runtime.finish.denoise import DENOISERS
-from spreadlets.runtime.integrate.convolution_pyramid import DEFAULT_CYCLES, DEFAULT_METHOD, METHODS, integrate
-from spreadlets.runtime.plan import layering
-from spreadlets.runtime.plan.plan import DEFAULT_TOLERANCE, Settings
-from spreadlets.runtime.plan.variant import DensePsf
-from spreadlets.runtime.splat.splat import sum_rows
 
+METHODS = ("spreadlets", "dense", "dense-rows", "gather")
+"""Sparse Laplacian splatting; the same PSFs drawn in full, pixel by pixel or as differences along rows; filtering with
+the PSF of the receiving pixel."""
+INTEGRATORS = ("multigrid", "pyramid", "pyramid-f5", "pyramid-f7", "exact")
+"""Poisson solvers, see `runtime.integrate.convolution_pyramid`."""
+DEFAULT_INTEGRATOR = "multigrid"
+DEFAULT_CYCLES = 1
+"""One cycle leaves about 1e-4 of the image, which no display shows. The pyramid alone costs up to .0005 SSIM on frames
+with strong highlights; a second cycle changes nothing that can be seen."""
+DENOISERS = ("bm3d", "oidn")
+"""Optional packages, see `runtime.finish.denoise`."""
+
+LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
+"""Layered reconstructions by others, see `runtime.sheared`."""
+RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
+SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp", "denoise", "calibrate")
+"""Options that mean nothing to methods that do not splat."""
+
+DEFAULT_TOLERANCE = 0.004
+"""One step of an 8-bit display."""
+DEFAULT_LAYERS = 4
+"""Layers of a frame that comes without any."""
+MAX_LAYERS = 64
+DEFAULT_SOFTNESS = 1.0
+"""Width of the transition from one layer to the next, in layers."""
 SAMPLE_CLAMP = 32.0
 """How many times as bright as all others around it a sample may be, by default."""
-
-Solver = Callable[[Image], Image]
 
 
 @dataclass(frozen=True)
@@ -35,7 +51,7 @@ class Options:
         Cycles of the integrator ``multigrid``; the others take no notice.
     tolerance : float
         Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
-    n_layers : int or None
+    layers : int or None
         Depth layers; by default those that the frame has, or a usual number if it has none.
     softness : float
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft).
@@ -47,34 +63,42 @@ class Options:
     calibrate : bool
         Whether a reconstruction is brought to its samples' local means, where those are of the whole lens and shutter,
         see `spreadlets.runtime.finish.calibration.calibrate`.
-    dense_psf : callable or None
-        If given, PSFs are drawn in full from it, every pixel by itself: methods ``dense`` and ``dense-rows``.
-    filtering : bool
-        Gather with the PSF of the receiving pixel instead of splatting, see `runtime.splat.gather`; needs `dense_psf`.
+    method : str
+        One of `METHODS`.
+    vignetting : bool
+        Whether to darken the image towards its corners as the lens of a database of ``physicallens`` does.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a value is not allowed.
     """
 
     defocus: bool = True
     motion: bool = True
-    integrator: str = DEFAULT_METHOD
+    integrator: str = DEFAULT_INTEGRATOR
     cycles: int = DEFAULT_CYCLES
     tolerance: float = DEFAULT_TOLERANCE
-    n_layers: int | None = None
-    softness: float = layering.DEFAULT_SOFTNESS
+    layers: int | None = None
+    softness: float = DEFAULT_SOFTNESS
     firefly_clamp: float | None = None
     denoise: str | None = None
     calibrate: bool = True
-    dense_psf: DensePsf | None = None
-    filtering: bool = False
+    method: str = "spreadlets"
+    vignetting: bool = False
 
     def __post_init__(self) -> None:
-        if self.integrator not in METHODS:
-            raise InvalidParameterError(f"integrator {self.integrator!r} is unknown: allowed are {', '.join(METHODS)}")
+        check_method(self.method, METHODS)
+        if self.integrator not in INTEGRATORS:
+            raise InvalidParameterError(
+                f"integrator {self.integrator!r} is unknown: allowed are {', '.join(INTEGRATORS)}"
+            )
         if not 0.0 <= self.tolerance < 1.0:
             raise InvalidParameterError(
                 f"tolerance is {self.tolerance}: allowed are 0 (off) to below 1 (the displayed range)"
             )
-        if self.n_layers is not None and not 1 <= self.n_layers <= layering.MAX_LAYERS:
-            raise InvalidParameterError(f"layers is {self.n_layers}: allowed are 1 to {layering.MAX_LAYERS}")
+        if self.layers is not None and not 1 <= self.layers <= MAX_LAYERS:
+            raise InvalidParameterError(f"layers is {self.layers}: allowed are 1 to {MAX_LAYERS}")
         if not 0.0 <= self.softness <= 1.0:
             raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
         if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
@@ -82,12 +106,39 @@ class Options:
         if self.denoise is not None and self.denoise not in DENOISERS:
             raise InvalidParameterError(f"denoise is {self.denoise!r}: allowed are {', '.join(DENOISERS)}, or none")
 
-    def solver(self) -> Solver:
-        """Return what makes images from what is splatted."""
-        if self.dense_psf is not None and self.dense_psf.by_rows:
-            return sum_rows
-        return partial(integrate, method=self.integrator, cycles=self.cycles)
+    @classmethod
+    def of(cls, **given: Any) -> Options:
+        """Return options of which some are given; None stands for the default."""
+        return cls(**{name: value for name, value in given.items() if value is not None})
 
-    def settings(self, n_layers: int, *, border: bool = True, stochastic: bool = False) -> Settings:
-        """Return the settings of the plan."""
-        return Settings(self.tolerance, self.dense_psf, border, n_layers, self.softness, stochastic)
+    @property
+    def draws_in_full(self) -> bool:
+        """Whether PSFs are drawn in full instead of from spreadlets."""
+        return self.method != "spreadlets"
+
+
+class RenderOptions(TypedDict, total=False):
+    """The options as keywords of the public functions; None stands for the default."""
+
+    defocus: bool
+    motion: bool
+    integrator: str | None
+    cycles: int | None
+    tolerance: float | None
+    layers: int | None
+    softness: float | None
+    firefly_clamp: float | None
+    denoise: str | None
+    calibrate: bool
+    method: str
+    vignetting: bool
+
+
+RENDER_OPTIONS = tuple(field.name for field in fields(Options))
+"""Their names."""
+
+
+def check_method(method: str, allowed: Sequence[str]) -> None:
+    """Raise InvalidParameterError if a method is not one of those that are allowed."""
+    if method not in allowed:
+        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")

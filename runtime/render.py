@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -17,27 +17,35 @@ from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, a
 from spreadlets.runtime.composite.visibility import HiddenShare, PassingSamples, View
 from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
+from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
-from spreadlets.runtime.label.labels import view_differences
+from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels, sample_pixels
-from spreadlets.runtime.options import SAMPLE_CLAMP, Options, Solver
-from spreadlets.runtime.plan.layering import DEFAULT_LAYERS
+from spreadlets.runtime.options import DEFAULT_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
-from spreadlets.runtime.report import Tally, make_report
+from spreadlets.runtime.plan.variant import DensePsf
+from spreadlets.runtime.report import Report, Tally, plan_figures
 from spreadlets.runtime.splat.gather import gather
 from spreadlets.runtime.splat.passes import Canvas, Runs, canvas_of, find_runs
-from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian
+from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian, sum_rows
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
 from spreadlets.scene.samples import SampleBuffer
+
+Solver = Callable[[Image], Image]
 
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
 
 
 def synthesize(
-    frame: Frame, camera: ThinLens, database: Database, options: Options | None = None, clock: Clock | None = None
-) -> tuple[Image, dict[str, Any]]:
+    frame: Frame,
+    camera: ThinLens,
+    database: Database,
+    options: Options | None = None,
+    clock: Clock | None = None,
+    dense_psf: DensePsf | None = None,
+) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
     Parameters
@@ -51,13 +59,14 @@ def synthesize(
     options : Options, optional
     clock : Clock, optional
         Where the steps' times are added.
+    dense_psf : callable, optional
+        Where methods that draw PSFs in full take them from.
 
     Returns
     -------
     image : ndarray of shape (H, W, 4), float32
         Premultiplied, linear.
-    report : dict
-        ``plan`` (what was drawn and what was left out), ``time_s``, ``compile_s`` and ``peak_rss_mb``.
+    report : Report
 
     Notes
     -----
@@ -71,23 +80,24 @@ def synthesize(
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
-    if options.filtering:
-        return _filtered(shown, camera, database, options, clock, tally)
+    if options.method == "gather":
+        image = _filtered(shown, camera, database, options, clock, tally, dense_psf)
+        return _darkened(image, camera, database, options), Report.of(clock, plan_figures(tally, database))
     image = np.zeros((*frame.shape, 4), np.float32)
     with clock.step("plan"):
         given = [frame_pixels(layer, camera, **effects) for layer in shown]
     is_whole = len(given) > 1
-    if is_whole and options.n_layers is not None:
+    if is_whole and options.layers is not None:
         given = [[pixels for group in given for pixels in group]]
-    n_layers = options.n_layers or (1 if is_whole else DEFAULT_LAYERS)
+    n_layers = options.layers or (1 if is_whole else DEFAULT_LAYERS)
     for number, group in enumerate(given):
         with clock.step("plan"):
-            plan = plan_pixels(group, database, options.settings(n_layers))
+            plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf)
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
             view = HiddenShare(group, plan) if plan.n_layers > 1 and not is_whole else None
-        _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
-    return image, make_report(tally, database, clock)
+        _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
+    return _darkened(image, camera, database, options), Report.of(clock, plan_figures(tally, database))
 
 
 def reconstruct(
@@ -96,22 +106,22 @@ def reconstruct(
     database: Database,
     options: Options | None = None,
     clock: Clock | None = None,
-) -> tuple[Image, dict[str, Any]]:
+    dense_psf: DensePsf | None = None,
+) -> tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples, blurred by the camera's lens and shutter.
 
     Parameters
     ----------
     samples : SampleBuffer
         Labelled samples.
-    camera, database, options, clock
+    camera, database, options, clock, dense_psf
         As for `synthesize`.
 
     Returns
     -------
     image : ndarray of shape (H, W, 4), float32
         Premultiplied, linear.
-    report : dict
-        As for `synthesize`.
+    report : Report
 
     Notes
     -----
@@ -123,12 +133,12 @@ def reconstruct(
     with clock.step("plan"):
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp or SAMPLE_CLAMP)
-        settings = options.settings(options.n_layers or DEFAULT_LAYERS, stochastic=True)
-        plan = plan_pixels(passes, database, settings)
+        n_layers = options.layers or DEFAULT_LAYERS
+        plan = plan_pixels(passes, database, options, n_layers, stochastic=True, dense_psf=dense_psf)
         view = PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
-    _add_plan(image, plan, view, options.solver(), clock, tally, closed=closed)
+    _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
     with clock.step("composite"):
         # A gain of the colours alone would part them from an alpha that is as inexact.
         if closed and options.calibrate and _shows_samples(samples, camera, database, options):
@@ -138,7 +148,23 @@ def reconstruct(
     if options.denoise is not None:
         with clock.step("composite"):
             image = denoise_sharp(image, _sharp_share(plan, samples.valid), options.denoise)
-    return image, make_report(tally, database, clock)
+    return image, Report.of(clock, plan_figures(tally, database))
+
+
+def _solver(options: Options) -> Solver:
+    """Return what makes images from what is splatted."""
+    if options.method == "dense-rows":
+        return sum_rows
+    return partial(integrate, method=options.integrator, cycles=options.cycles)
+
+
+def _darkened(image: Image, camera: ThinLens, database: Database, options: Options) -> Image:
+    """Return the image as dark towards its corners as the lens leaves it, if that is asked for."""
+    if options.vignetting:
+        height, width = image.shape[:2]
+        shares = illumination(database.grid.model, (height, width), camera.sensor_width_mm / width)
+        image[..., :3] *= shares[..., None]
+    return image
 
 
 def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, options: Options) -> bool:
@@ -147,7 +173,8 @@ def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, 
     moves = bool(samples.motion.any())
     if model.settings or not options.defocus or (moves and not options.motion):
         return False
-    shown = model.name == "combined" or (model.name == "simplelens" and not moves)
+    axes = {axis.name for axis in model.axes}
+    shown = axes == {"coc", "motion"} or (axes == {"coc"} and not moves)
     return shown and takes_whole_lens(samples, camera)
 
 
@@ -225,8 +252,14 @@ def _splat_layer(
 
 
 def _filtered(
-    given: Sequence[Layer], camera: ThinLens, database: Database, options: Options, clock: Clock, tally: Tally
-) -> tuple[Image, dict[str, Any]]:
+    given: Sequence[Layer],
+    camera: ThinLens,
+    database: Database,
+    options: Options,
+    clock: Clock,
+    tally: Tally,
+    dense_psf: DensePsf | None,
+) -> Image:
     """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
@@ -235,7 +268,7 @@ def _filtered(
             moved = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
             # A filter has no place to move light to.
             passes = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
-            plan = plan_pixels(passes, database, options.settings(1, border=False))
+            plan = plan_pixels(passes, database, options, 1, border=False, dense_psf=dense_psf)
         with clock.step("splat"):
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)
@@ -244,7 +277,7 @@ def _filtered(
         with clock.step("composite"):
             add_layer(image, filtered, (0, 0), COVERAGE)
         tally.add_plan(plan, 1)
-    return image, make_report(tally, database, clock)
+    return image
 
 
 def _warn_about_view(database: Database, camera: ThinLens, width: int) -> None:

@@ -3,12 +3,75 @@
 from __future__ import annotations
 
 import resource
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from spreadlets.psf.database import Database
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.runtime.splat.passes import Canvas
+
+
+class Record(Mapping[str, Any]):
+    """A dataclass whose fields can be read by their names, too, as those of a dict."""
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self.__dataclass_fields__:  # type: ignore[attr-defined]
+            raise KeyError(name)
+        return getattr(self, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.__dataclass_fields__)  # type: ignore[attr-defined]
+
+    def __len__(self) -> int:
+        return len(self.__dataclass_fields__)  # type: ignore[attr-defined]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as a dict, all the way down."""
+        return asdict(self)  # type: ignore[call-overload, no-any-return]
+
+
+@dataclass(frozen=True)
+class PlanFigures(Record):
+    """What was drawn, and what was not needed.
+
+    Attributes
+    ----------
+    layers : int
+        Depth layers that hold something.
+    cells_used, cells_total : int
+        Cells of the database that the pixels need, and all.
+    pixels_sparse, pixels_dense : int
+        Pixels drawn by spreadlets, and in full.
+    pixels_merged : int
+        Pixels that were drawn as blocks.
+    pixels_clamped : int
+        Fireflies that were dimmed.
+    pixels_skipped : int
+        Pixels that contribute nothing.
+    points_splatted : int
+        Points drawn, of all splats.
+    error_bound : float
+        Bound on the change of the displayed image by drawing blocks of pixels as one.
+    padding_px : int
+        How far beyond the frame there was something to compute.
+    left_out : list of str
+        What the frame did not need.
+    """
+
+    layers: int
+    cells_used: int
+    cells_total: int
+    pixels_sparse: int
+    pixels_dense: int
+    pixels_merged: int
+    pixels_clamped: int
+    pixels_skipped: int
+    points_splatted: int
+    error_bound: float
+    padding_px: int
+    left_out: list[str]
 
 
 class Tally:
@@ -31,25 +94,46 @@ class Tally:
         self.padding = max(self.padding, -canvas.top, -canvas.left, *behind)
 
 
-def make_report(tally: Tally, database: Database, clock: Clock) -> dict[str, Any]:
-    """Gather the plans' figures under the names of the command line's JSON output."""
+@dataclass(frozen=True)
+class Report(Record):
+    """What a run says of itself, by the names of the command line's JSON output.
+
+    Attributes
+    ----------
+    time_s : dict
+        Seconds of each step of `runtime.clock.STEPS`, and ``total``, without those of compilation.
+    compile_s : float
+        Seconds of compilation.
+    peak_rss_mb : float
+        Largest resident memory of the process so far, MB.
+    plan : Record or dict
+        What was drawn and what was left out: a `PlanFigures`, or what another method tells of its set-up.
+    """
+
+    time_s: dict[str, float]
+    compile_s: float
+    peak_rss_mb: float
+    plan: PlanFigures | dict[str, Any]
+
+    @classmethod
+    def of(cls, clock: Clock, plan: PlanFigures | dict[str, Any]) -> Report:
+        """Return the report of a run that is over."""
+        return cls(clock.times(), clock.compile_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, plan)
+
+
+def plan_figures(tally: Tally, database: Database) -> PlanFigures:
+    """Sum the figures of all plans of a run."""
     plans = tally.plans
     counts = [plan.counts() for plan in plans]
     left_out = set.intersection(*(set(plan.left_out) for plan in plans))
-    figures: dict[str, Any] = {name: sum(count[name] for count in counts) for name in counts[0]}
-    figures |= {
-        "layers": tally.layers,
-        "cells_used": len(set.union(*(plan.cells_used for plan in plans))),
-        "cells_total": database.n_cells,
-        "pixels_clamped": tally.clamped,
-        "pixels_skipped": sum(plan.pixels_skipped for plan in plans),
-        "error_bound": max(plan.error_bound for plan in plans),
-        "padding_px": tally.padding,
-        "left_out": [name for name in plans[0].left_out if name in left_out],
-    }
-    return {
-        "time_s": clock.times(),
-        "compile_s": clock.compile_s,
-        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "plan": figures,
-    }
+    return PlanFigures(
+        **{name: sum(count[name] for count in counts) for name in counts[0]},
+        layers=tally.layers,
+        cells_used=len(set.union(*(plan.cells_used for plan in plans))),
+        cells_total=database.n_cells,
+        pixels_clamped=tally.clamped,
+        pixels_skipped=sum(plan.pixels_skipped for plan in plans),
+        error_bound=max(plan.error_bound for plan in plans),
+        padding_px=tally.padding,
+        left_out=[name for name in plans[0].left_out if name in left_out],
+    )

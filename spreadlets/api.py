@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -15,37 +15,14 @@ from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import refusing
-from spreadlets.runtime.label.labels import illumination
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
-    from spreadlets.runtime.options import Options
-
-
-METHODS = ("spreadlets", "dense", "dense-rows", "gather")
-LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
-"""Those of `runtime.sheared`, a backend that nothing else needs."""
-DENOISERS = ("bm3d", "oidn")
-RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
-SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp")
-"""Options that mean nothing to the other methods."""
-
-
-class RenderOptions(TypedDict, total=False):
-    """What `synthesize` and `reconstruct` have in common; None stands for the default."""
-
-    integrator: str | None
-    cycles: int | None
-    tolerance: float | None
-    layers: int | None
-    softness: float | None
-    firefly_clamp: float | None
-    defocus: bool
-    motion: bool
-    clock: Clock | None
+    from spreadlets.runtime.options import Options, RenderOptions
+    from spreadlets.runtime.report import Report
 
 
 @overload
@@ -54,9 +31,8 @@ def synthesize(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    method: str = ...,
-    vignetting: bool = ...,
     report: Literal[False] = ...,
+    clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -67,11 +43,10 @@ def synthesize(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    method: str = ...,
-    vignetting: bool = ...,
     report: Literal[True],
+    clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
-) -> tuple[Image, dict[str, Any]]: ...
+) -> tuple[Image, Report]: ...
 
 
 def synthesize(
@@ -79,11 +54,10 @@ def synthesize(
     camera: ThinLens,
     database: Database | str | None = None,
     *,
-    method: str = "spreadlets",
-    vignetting: bool = False,
     report: bool = False,
+    clock: Clock | None = None,
     **options: Unpack[RenderOptions],
-) -> Image | tuple[Image, dict[str, Any]]:
+) -> Image | tuple[Image, Report]:
     """Put the depth of field and the motion blur of a camera on a rendered frame.
 
     Parameters
@@ -128,8 +102,8 @@ def synthesize(
     -------
     image : ndarray of shape (H, W, 4), float32
         Linear, premultiplied.
-    report : dict
-        Only with ``report=True``: ``time_s``, ``compile_s``, ``peak_rss_mb``, ``plan``.
+    report : Report
+        Only with ``report=True``: ``time_s``, ``compile_s``, ``peak_rss_mb`` and ``plan``, as attributes or by name.
 
     Raises
     ------
@@ -140,18 +114,13 @@ def synthesize(
         If the database cannot be used.
     """
     from spreadlets.runtime import render
+    from spreadlets.runtime.options import Options
 
-    _check_method(method, METHODS)
+    chosen = Options.of(**options)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
-    moving = options.get("motion", True) and any(layer.has_motion for layer in layered.layers)
+    moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
-        given, clock = _render_options(opened, method, options)
-        height, width = layered.layers[0].depth.shape
-        mm_per_px = camera.sensor_width_mm / width
-        darkening = illumination(opened.grid.model, (height, width), mm_per_px) if vignetting else None
-        image, figures = render.synthesize(layered, camera, opened, given, clock)
-    if darkening is not None:
-        image[..., :3] *= darkening[..., None]
+        image, figures = render.synthesize(layered, camera, opened, chosen, clock, _dense_psfs(opened, chosen))
     return (image, figures) if report else image
 
 
@@ -161,11 +130,9 @@ def reconstruct(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    method: str = ...,
     report: Literal[False] = ...,
     settings: Mapping[str, object] | None = ...,
-    denoise: str | None = ...,
-    calibrate: bool = ...,
+    clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -176,13 +143,11 @@ def reconstruct(
     camera: ThinLens,
     database: Database | str | None = ...,
     *,
-    method: str = ...,
     report: Literal[True],
     settings: Mapping[str, object] | None = ...,
-    denoise: str | None = ...,
-    calibrate: bool = ...,
+    clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
-) -> tuple[Image, dict[str, Any]]: ...
+) -> tuple[Image, Report]: ...
 
 
 def reconstruct(
@@ -190,20 +155,18 @@ def reconstruct(
     camera: ThinLens,
     database: Database | str | None = None,
     *,
-    method: str = "spreadlets",
     report: bool = False,
     settings: Mapping[str, object] | None = None,
-    denoise: str | None = None,
-    calibrate: bool = True,
+    clock: Clock | None = None,
     **options: Unpack[RenderOptions],
-) -> Image | tuple[Image, dict[str, Any]]:
+) -> Image | tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
 
     Parameters
     ----------
     samples : SampleBuffer
         Labelled samples, any number in each pixel.
-    camera, database, report, options
+    camera, database, report, clock, options
         As for `synthesize`. Without an effect (``defocus=False``) the image is what a camera without it would see.
     method : str
         ``spreadlets``: sparse Laplacian splatting. ``dense``, ``dense-rows``: the same PSFs drawn in full. ``sheared``,
@@ -224,7 +187,7 @@ def reconstruct(
     -------
     image : ndarray of shape (H, W, 4), float32
         Linear, premultiplied.
-    report : dict
+    report : Report
         Only with ``report=True``, as for `synthesize`.
 
     Raises
@@ -235,22 +198,19 @@ def reconstruct(
     InvalidDatabaseError
         If the database cannot be used.
     """
-    _check_method(method, RECONSTRUCTION_METHODS)
+    from spreadlets.runtime import render
+    from spreadlets.runtime.options import LAYERED_METHODS, METHODS, RECONSTRUCTION_METHODS, Options, check_method
+
+    method = options.get("method", "spreadlets")
+    check_method(method, RECONSTRUCTION_METHODS)
     if settings and method not in LAYERED_METHODS:
         raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
-    if method in (*LAYERED_METHODS, "mean", *DENOISERS):
-        if denoise is not None:
-            raise InvalidParameterError(f"denoise is no option of method {method!r}")
-        if not calibrate:
-            raise InvalidParameterError(f"calibrate is no option of method {method!r}")
-        image, figures = _without_splatting(samples, camera, method, settings or {}, options)
+    if method not in METHODS:
+        image, figures = _without_splatting(samples, camera, method, settings or {}, clock, options)
         return (image, figures) if report else image
-    from spreadlets.runtime import render
-
-    with _opened(database, options.get("motion", True) and bool(samples.motion.any())) as opened:
-        given, clock = _render_options(opened, method, options)
-        given = replace(given, denoise=denoise, calibrate=calibrate)
-        image, figures = render.reconstruct(samples, camera, opened, given, clock)
+    chosen = Options.of(**options)
+    with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
+        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, _dense_psfs(opened, chosen))
     return (image, figures) if report else image
 
 
@@ -259,33 +219,37 @@ def _without_splatting(
     camera: ThinLens,
     method: str,
     settings: Mapping[str, object],
+    clock: Clock | None,
     options: RenderOptions,
-) -> tuple[Image, dict[str, Any]]:
+) -> tuple[Image, Report]:
     """Reconstruct with a method that needs no database."""
-    given = [name for name in SPLATTING_OPTIONS if options.get(name) is not None]
-    if given:
-        raise InvalidParameterError(f"{given[0]} is no option of method {method!r}")
-    clock = options.get("clock")
+    from spreadlets.runtime.options import DENOISERS, LAYERED_METHODS, SPLATTING_OPTIONS, Options
+
+    default = Options()
+    changed: dict[str, Any] = {
+        k: v for k, v in options.items() if v is not None and k != "method" and v != getattr(default, k)
+    }
+    for name in SPLATTING_OPTIONS:
+        if name in changed:
+            raise InvalidParameterError(f"{name} is no option of method {method!r}")
     if method in LAYERED_METHODS:
         from spreadlets.runtime.sheared import reconstruct as layered
 
-        if options.get("layers") is not None:
-            settings = {"layers": options["layers"], **settings}
+        if "layers" in changed:
+            settings = {"layers": changed.pop("layers"), **settings}
         made = layered.make_method(method, settings)
-        defocus, motion = options.get("defocus", True), options.get("motion", True)
-        return layered.reconstruct(samples, camera, made, defocus=defocus, motion=motion, clock=clock)
-    for name in ("defocus", "motion", "layers"):
-        value = options.get(name)
-        if value is not None and value is not True:
-            raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
+        return layered.reconstruct(samples, camera, made, **changed, clock=clock)
+    for name in changed:
+        raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
     from spreadlets.runtime.clock import Clock
     from spreadlets.runtime.finish.average import average
 
+    clock = clock or Clock()
     image, figures = average(samples, clock)
     if method in DENOISERS:
         from spreadlets.runtime.finish.denoise import denoise
 
-        image, figures = denoise(image, method, clock or Clock())
+        image, figures = denoise(image, method, clock)
     return image, figures
 
 
@@ -303,22 +267,9 @@ def tune_layered_methods() -> dict[str, Any]:
     return {"file": str(sizes.save()), "work_sizes": vars(sizes), "time_ms": times}
 
 
-def _check_method(method: str, allowed: Sequence[str]) -> None:
-    if method not in allowed:
-        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")
-
-
-def _render_options(opened: Database, method: str, options: RenderOptions) -> tuple[Options, Clock | None]:
-    """Return the options of the runtime: those that are not given keep its defaults."""
-    from spreadlets.runtime.options import Options
-
-    given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
-    clock = given.pop("clock", None)
-    if "layers" in given:
-        given["n_layers"] = given.pop("layers")
-    if method != "spreadlets":
-        given["dense_psf"] = DensePsfs(opened, by_rows=method == "dense-rows")
-    return Options(**given, filtering=method == "gather"), clock
+def _dense_psfs(opened: Database, options: Options) -> DensePsfs | None:
+    """Return where methods that draw PSFs in full take them from, for those methods."""
+    return DensePsfs(opened, by_rows=options.method == "dense-rows") if options.draws_in_full else None
 
 
 @contextmanager

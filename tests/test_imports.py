@@ -14,13 +14,13 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays"},
-    {"scene"},
+    {"scene", "runtime.options"},
     {"metrics", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.label"},
     {"precompute.models", "runtime.splat", "runtime.integrate"},
     {"precompute.sparsify", "runtime.plan"},
-    {"precompute.build", "runtime.composite", "runtime.finish"},
-    {"runtime.options", "runtime.report"},
+    {"precompute.build", "runtime.composite", "runtime.report"},
+    {"runtime.finish"},
     {"runtime.render", "runtime.sheared"},
     {"api"},
     {"reports"},

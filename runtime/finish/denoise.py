@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from spreadlets.errors import InvalidParameterError
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
-
+from spreadlets.runtime.report import Report
 
 SHARP_WINDOW = 5
 """Side of the window, px, in which the share of sharp samples is taken."""
@@ -51,7 +50,7 @@ def _oidn(colour: Image) -> npt.NDArray[np.floating]:
     return np.asarray(_package("pyoidn", "oidn").denoise(np.ascontiguousarray(colour), hdr=True))
 
 
-DENOISERS: dict[str, Callable[[Image], npt.NDArray[np.floating]]] = {"bm3d": _bm3d, "oidn": _oidn}
+DENOISING: dict[str, Callable[[Image], npt.NDArray[np.floating]]] = {"bm3d": _bm3d, "oidn": _oidn}
 
 
 def _package(name: str, method: str) -> Any:
@@ -82,11 +81,11 @@ def denoise_sharp(image: Image, sharp: Image, method: str) -> Image:
     """
     weight = np.clip(2.0 * ndimage.uniform_filter(sharp, SHARP_WINDOW, mode="nearest") - 1.0, 0.0, 1.0)[..., None]
     colour = image[..., :3]
-    mixed = colour + weight * (DENOISERS[method](colour) - colour)
+    mixed = colour + weight * (DENOISING[method](colour) - colour)
     return np.concatenate([mixed.astype(np.float32), image[..., 3:]], axis=2)
 
 
-def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, dict[str, Any]]:
+def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, Report]:
     """Denoise an image.
 
     Parameters
@@ -102,8 +101,7 @@ def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, dict[str, A
     Returns
     -------
     image : ndarray of shape (H, W, 4), float32
-    report : dict
-        ``time_s``, ``compile_s`` and ``peak_rss_mb``.
+    report : Report
 
     Raises
     ------
@@ -111,7 +109,6 @@ def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, dict[str, A
         If the package is not installed.
     """
     with clock.step("composite"):
-        colour = DENOISERS[method](image[..., :3])
+        colour = DENOISING[method](image[..., :3])
         denoised = np.concatenate([colour.astype(np.float32), image[..., 3:]], axis=2)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return denoised, {"time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}
+    return denoised, Report.of(clock, {})

@@ -35,17 +35,11 @@ from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import solve_dirichlet
 from spreadlets.runtime.integrate import _pyramid_kernels as kernels
+from spreadlets.runtime.options import DEFAULT_CYCLES, DEFAULT_INTEGRATOR, INTEGRATORS
 
 Rows = NDArray[np.float32]
 """An image as the kernels see it, of shape (H, W * C)."""
 
-METHODS = ("exact", "pyramid", "multigrid", "pyramid-f5", "pyramid-f7")
-"""Names of the integrators."""
-
-DEFAULT_METHOD = "multigrid"
-DEFAULT_CYCLES = 1
-"""One cycle leaves about 1e-4 of the image, which no display shows. The pyramid alone costs up to .0005 SSIM on frames
-with strong highlights; a second cycle changes nothing that can be seen."""
 
 COARSEST_SIDE = 32
 """Levels end before the shorter side gets below this, and the coarsest is solved exactly in under 1 % of the time. A
@@ -159,7 +153,7 @@ class IntegrationReport:
 
 def integrate(
     laplacian_image: NDArray[Any],
-    method: str = DEFAULT_METHOD,
+    method: str = DEFAULT_INTEGRATOR,
     *,
     cycles: int = DEFAULT_CYCLES,
     tolerance: float | None = None,
@@ -219,7 +213,7 @@ class Integrator:
         From the call, as `integrate`.
     """
 
-    method: str = DEFAULT_METHOD
+    method: str = DEFAULT_INTEGRATOR
     cycles: int = field(default=DEFAULT_CYCLES, kw_only=True)
     tolerance: float | None = field(default=None, kw_only=True)
     threads: int | None = field(default=None, kw_only=True)
@@ -244,8 +238,8 @@ class Integrator:
         return out
 
     def _check_parameters(self) -> None:
-        if self.method not in METHODS:
-            raise InvalidParameterError(f"method is {self.method!r}; the integrators are {', '.join(METHODS)}")
+        if self.method not in INTEGRATORS:
+            raise InvalidParameterError(f"method is {self.method!r}; the integrators are {', '.join(INTEGRATORS)}")
         if self.cycles < 0:
             raise InvalidParameterError(f"cycles is {self.cycles}; give 0 or more")
         if self.tolerance is not None and not self.tolerance >= 0:

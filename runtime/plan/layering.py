@@ -12,13 +12,8 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.runtime.label.labels import Labels
+from spreadlets.runtime.options import DEFAULT_SOFTNESS
 from spreadlets.runtime.plan import _layer_kernels
-
-DEFAULT_LAYERS = 4
-"""Layers of a frame that comes without any."""
-MAX_LAYERS = 64
-DEFAULT_SOFTNESS = 1.0
-"""Width of the transition from one layer to the next, in layers."""
 
 STRAY_SHARE = 0.002
 STRAY_STRETCH = 2.0

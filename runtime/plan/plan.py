@@ -15,9 +15,10 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels
+from spreadlets.runtime.options import Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
-from spreadlets.runtime.plan.layering import DEFAULT_SOFTNESS, Layering, Membership
+from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, split_spike, variant_points
@@ -25,8 +26,6 @@ from spreadlets.runtime.splat.passes import PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
-DEFAULT_TOLERANCE = 0.004
-"""One step of an 8-bit display."""
 SCALE_STEPS_PER_OCTAVE = 16
 """Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
 N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
@@ -43,34 +42,6 @@ HIGHLIGHT_STEP = 4
 WIDE_REACH = 8
 """Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
 it is the mean of many such errors that counts."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How to draw.
-
-    Attributes
-    ----------
-    tolerance : float
-        See `runtime.plan.merge.merge_blocks`.
-    dense_psf : callable or None
-        If given, every PSF is drawn in full from it (method ``dense``), none as a spreadlet.
-    border : bool
-        Whether to continue the frame beyond its border.
-    n_layers : int
-        Depth layers.
-    softness : float
-        See `runtime.plan.layering.Layering`.
-    stochastic : bool
-        Whether the pixels are stochastic samples.
-    """
-
-    tolerance: float = DEFAULT_TOLERANCE
-    dense_psf: DensePsf | None = None
-    border: bool = True
-    n_layers: int = 1
-    softness: float = DEFAULT_SOFTNESS
-    stochastic: bool = False
 
 
 @dataclass
@@ -150,8 +121,33 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     return needed
 
 
-def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings) -> Plan:
+def plan_pixels(
+    passes: Sequence[Pixels],
+    database: Database,
+    options: Options,
+    n_layers: int,
+    *,
+    border: bool = True,
+    stochastic: bool = False,
+    dense_psf: DensePsf | None = None,
+) -> Plan:
     """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
+
+    Parameters
+    ----------
+    passes : sequence of Pixels
+        Each with one label for each pixel.
+    database : Database
+    options : Options
+        Their tolerance and softness.
+    n_layers : int
+        Depth layers.
+    border : bool
+        Whether to continue the frame beyond its border.
+    stochastic : bool
+        Whether the pixels are stochastic samples.
+    dense_psf : callable or None
+        If given, every PSF is drawn in full from it, none as a spreadlet.
 
     Notes
     -----
@@ -164,17 +160,17 @@ def plan_pixels(passes: Sequence[Pixels], database: Database, settings: Settings
     skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(drawn, indices, strict=True))
     _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    points = list(variant_points(variants, database, settings.dense_psf))
+    points = list(variant_points(variants, database, dense_psf))
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
-    layering = Layering.of(list(zip(labels, indices, strict=True)), settings.n_layers, settings.softness)
+    layering = Layering.of(list(zip(labels, indices, strict=True)), n_layers, options.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
-    parts = _all_parts(passes, members, settings, layering.n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, table, layering.n_layers, settings.stochastic))
+    parts = _all_parts(passes, members, border, layering.n_layers, table.n_variants)
+    splats = list(_splat_passes(parts, table, layering.n_layers, stochastic))
     variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
     alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
-    merged = [merge_blocks(each, variation, 0.0 if settings.dense_psf else settings.tolerance) for each in splats]
+    merged = [merge_blocks(each, variation, 0.0 if dense_psf else options.tolerance) for each in splats]
     plan = Plan(
         sources=[levels for levels, _ in merged] + [[each] for each in alone],
         table=table,
@@ -325,10 +321,10 @@ def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
 
 
 def _all_parts(
-    passes: Sequence[Pixels], members: Sequence[Membership], settings: Settings, n_layers: int, n_variants: int
+    passes: Sequence[Pixels], members: Sequence[Membership], border: bool, n_layers: int, n_variants: int
 ) -> Iterator[_Part]:
     """Yield all parts of all pixels."""
-    beyond = _border_colours(passes) if settings.border else [None] * len(passes)
+    beyond = _border_colours(passes) if border else [None] * len(passes)
     for pixels, member, colours in zip(passes, members, beyond, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import resource
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.clock import Clock
+from spreadlets.runtime.report import Report
 from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm
 from spreadlets.runtime.sheared.method import Method
 from spreadlets.runtime.sheared.samples import Samples
@@ -65,7 +64,7 @@ def reconstruct(
     defocus: bool = True,
     motion: bool = True,
     clock: Clock | None = None,
-) -> tuple[Image, dict[str, Any]]:
+) -> tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples.
 
     Parameters
@@ -83,8 +82,7 @@ def reconstruct(
     -------
     image : ndarray of shape (H, W, 4), float32
         Linear, premultiplied.
-    report : dict
-        ``plan`` (figures of the set-up), ``time_s``, ``compile_s`` and ``peak_rss_mb``.
+    report : Report
     """
     clock = clock or Clock()
     image = np.zeros((*samples.shape, 4), np.float32)
@@ -95,5 +93,4 @@ def reconstruct(
     with clock.step("composite"):
         tile_filter.fill(image)
     plan = {"tiles": len(tiling.inner()), **tile_filter.figures()}
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return image, {"plan": plan, "time_s": clock.times(), "compile_s": clock.compile_s, "peak_rss_mb": peak}
+    return image, Report.of(clock, plan)

@@ -43,8 +43,8 @@ def run_demo(folder: str | os.PathLike[str]) -> dict[str, Any]:
     image, report = synthesize(frame, read_camera(DATA / f"{FRAME}.json"), DATABASE, report=True, clock=clock)
     with clock.step("write"):
         exr.write_image(output / "result.exr", image)
-    report["time_s"] = clock.times()
     pictures = {"result": image, "pinhole": frame.layers[0].radiance, "reference": reference}
     for name, picture in pictures.items():
         exr.write_png(output / f"{name}.png", picture)
-    return report | metrics.compare(image, reference) | {"written_to": str(output)}
+    figures = metrics.compare(image, reference)
+    return report.to_dict() | {"time_s": clock.times()} | figures | {"written_to": str(output)}

@@ -13,7 +13,7 @@ from spreadlets.arrays import Image
 from spreadlets.files.exr_frames import read_image
 from spreadlets.reports.bench.blender_nodes import run_nodes
 from spreadlets.reports.bench.subjects import Subject
-from spreadlets.runtime.options import Options
+from spreadlets.runtime.options import RECONSTRUCTION_METHODS, Options
 from spreadlets.runtime.render import reconstruct, synthesize
 from spreadlets.scene.samples import SampleBuffer
 
@@ -101,8 +101,8 @@ def _synthesis(subject: Subject, folder: Path, quick: bool) -> Iterator[Contende
     def dense(frame: str, method: str, layers: int | None = None) -> Callable[[], Image]:
         def make() -> Image:
             psfs = subject.dense_psfs(folder, by_rows=method == "dense-rows")
-            options = Options(n_layers=layers, dense_psf=psfs, filtering=method == "gather")
-            return synthesize(getattr(subject, frame), subject.camera, psfs.psfs.database, options)[0]
+            options = Options.of(layers=layers, method=method)
+            return synthesize(getattr(subject, frame), subject.camera, psfs.psfs.database, options, dense_psf=psfs)[0]
 
         return make
 
@@ -140,7 +140,9 @@ def _reconstruction(subject: Subject, folder: Path, quick: bool) -> Iterator[Con
             def make() -> Image:
                 if method == "dense":
                     psfs = subject.dense_psfs(folder)
-                    return reconstruct(samples, subject.camera, psfs.psfs.database, Options(dense_psf=psfs))[0]
+                    return reconstruct(
+                        samples, subject.camera, psfs.psfs.database, Options(method="dense"), dense_psf=psfs
+                    )[0]
                 database = None if method in RECONSTRUCTION_PEERS else subject.database(1.0, folder)
                 image: Image = api.reconstruct(samples, subject.camera, database, method=method, **options)
                 return image
@@ -159,7 +161,7 @@ def _reconstruction(subject: Subject, folder: Path, quick: bool) -> Iterator[Con
 
 def missing_for(method: str) -> str:
     """Say why a method of reconstruction cannot be run; empty if it can."""
-    if method not in api.RECONSTRUCTION_METHODS:
+    if method not in RECONSTRUCTION_METHODS:
         return "this version has no such method"
     package = OPTIONAL_PACKAGES.get(method)
     if package and find_spec(package) is None:

@@ -13,7 +13,7 @@ CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.08, focus_d
 @pytest.fixture
 def blackened(monkeypatch):
     """A denoiser that leaves nothing, to see where it acts."""
-    monkeypatch.setitem(denoise.DENOISERS, "oidn", np.zeros_like)
+    monkeypatch.setitem(denoise.DENOISING, "oidn", np.zeros_like)
 
 
 def test_only_what_is_sharp_is_denoised(blackened):

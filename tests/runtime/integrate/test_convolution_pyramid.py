@@ -7,18 +7,17 @@ from reference_pyramid import published_naive, pyramid_naive
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import laplacian, solve_dirichlet
-from spreadlets.runtime.integrate import convolution_pyramid
 from spreadlets.runtime.integrate.convolution_pyramid import (
     COARSER_FILTERS,
     COARSEST_SIDE,
     FINEST_FILTERS,
-    METHODS,
     PUBLISHED_FILTERS,
     Integrator,
     UnbalancedSourceWarning,
     complete_taps,
     integrate,
 )
+from spreadlets.runtime.options import DEFAULT_INTEGRATOR, INTEGRATORS
 
 FLOAT32_ROUNDING = 5e-6
 """Relative error that float32 leaves in any of the integrators on some hundred pixels."""
@@ -64,7 +63,7 @@ def neutral_points(shape, seed, count=60):
 
 
 class TestAccuracy:
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     @pytest.mark.parametrize("radius", [12, 60])
     def test_reconstructs_a_disc_within_budget(self, method, radius):
         image = disc((255, 255), radius)
@@ -96,12 +95,12 @@ class TestAccuracy:
             )
         assert relative_error(integrate(source, "pyramid")[:, :, 0], image) < 2 * DISC_BUDGET["pyramid"]
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     def test_the_smallest_images_work(self, method):
         result = integrate(np.zeros((1, 1, 1), np.float32), method)
         assert result.tolist() == [[[0]]]
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     @pytest.mark.parametrize("n_channels", [1, 3, 4, 5])
     def test_channels_do_not_mix(self, method, n_channels):
         planes = [disc((70, 75), 5 + 3 * c, value=1 + c) for c in range(n_channels)]
@@ -167,7 +166,7 @@ class TestTwins:
 
 class TestThreads:
     @pytest.mark.skipif(THREADS < 2, reason="needs two threads")
-    @pytest.mark.parametrize("method", [m for m in METHODS if m != "exact"])
+    @pytest.mark.parametrize("method", [m for m in INTEGRATORS if m != "exact"])
     def test_the_image_does_not_depend_on_their_number(self, method):
         source = source_of(*(disc((190, 210), 10 + 7 * c) for c in range(4)))
         assert np.array_equal(integrate(source, method, threads=1), integrate(source, method, threads=2))
@@ -210,7 +209,7 @@ class TestIntegrator:
     def test_leaves_the_source_alone(self):
         source = source_of(disc((80, 90), 12))
         kept = source.copy()
-        for method in METHODS:
+        for method in INTEGRATORS:
             integrate(source, method)
         assert np.array_equal(source, kept)
 
@@ -240,7 +239,7 @@ class TestIntegrator:
 
 
 class TestNetSource:
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     @pytest.mark.parametrize("corner", [(0, 0), (69, 0), (0, 79), (69, 79)])
     def test_a_lone_point_in_a_corner_gets_a_warning_and_an_answer(self, method, corner):
         source = np.zeros((70, 80, 2), np.float32)
@@ -251,7 +250,7 @@ class TestNetSource:
         assert np.abs(image[:, :, 0]).max() == 0
         assert np.unravel_index(np.abs(image[:, :, 1]).argmax(), (70, 80)) == corner
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     def test_neutral_sources_pass_without_one(self, method):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -287,7 +286,7 @@ class TestRefusals:
         with pytest.raises(InvalidParameterError, match="shares memory"):
             integrate(source, out=source)
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
     @pytest.mark.parametrize("at", [(0, 0, 0), (69, 79, 1)])
     def test_values_that_are_not_finite(self, method, value, at):
@@ -296,14 +295,14 @@ class TestRefusals:
         with pytest.raises(InvalidParameterError, match="not finite"):
             integrate(source, method)
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     def test_an_answer_beyond_float32(self, method):
         source = np.zeros((70, 70, 1), np.float32)
         source[30:40, 30:40] = 3e38
         with pytest.raises(InvalidParameterError, match="range of float32"):
             integrate(source, method)
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", INTEGRATORS)
     def test_large_values_within_range_pass(self, method):
         image = disc((100, 100), 20, value=1e30)
         assert relative_error(integrate(source_of(image), method)[:, :, 0] / 1e30, image / 1e30) < 0.1
@@ -316,4 +315,4 @@ def test_every_weight_is_stable_and_every_filter_keeps_sums():
             taps = complete_taps(outer)
             assert taps[0] + 2 * taps[2] == pytest.approx(1)
             assert 2 * (taps[1] + taps[3]) == pytest.approx(1)
-    assert convolution_pyramid.DEFAULT_METHOD in METHODS
+    assert DEFAULT_INTEGRATOR in INTEGRATORS

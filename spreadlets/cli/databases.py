@@ -1,0 +1,156 @@
+"""Commands on databases: building them, and saying what they, or a frame, hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import cloup
+
+from spreadlets.cli.options import input_options, input_settings, json_option
+from spreadlets.cli.show import print_figures, progress_bar
+
+_DEFAULT = click.core.ParameterSource.DEFAULT
+
+
+@cloup.command()
+@cloup.argument("model")
+@cloup.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help="The database to write (HDF5).")
+@cloup.option("--samples", type=click.IntRange(min=1), help="Number of cells (default: the model's own).")
+@cloup.option("--max-coc", type=float, help="Largest CoC radius, px.")
+@cloup.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
+@cloup.option("--density", type=click.Choice(["0.5", "1", "2"]), help="Points, times the usual number (default: 1).")
+@cloup.option("--lens", help="physicallens: a prescription file, or singlet, doublet, double_gauss (shipped).")
+@cloup.option("--width", type=click.IntRange(min=1), help="physicallens, volume: width of the frames to come, px.")
+@cloup.option("--image", help="stylized: the PSF (PNG).")
+@cloup.option("--colour-offset", type=float, help="stylized: shift of red and blue, in radii of the PSF.")
+@cloup.option("--medium-density", type=float, help="volume: collisions per metre.")
+@cloup.option("--anisotropy", type=float, help="volume: mean cosine of the scattering angle, -1 to 1.")
+@cloup.option("--albedo", type=float, nargs=3, help="volume: share of R, G and B that a collision keeps.")
+@cloup.option("--max-distance", type=float, help="volume: farthest distance, m.")
+@cloup.option("--psf-radius", type=float, help="volume: radius of the PSFs, px.")
+@cloup.option("--blades", type=click.IntRange(min=0), help="simplelens, combined: edges of the aperture (0: round).")
+@cloup.option("--blade-curvature", type=float, help="... from 0 (straight edges) to 1 (round).")
+@cloup.option("--rotation", type=float, help="... of the blades, degrees.")
+@cloup.option("--cats-eye", type=float, help="... distance of a second, clipping circle, radii.")
+@cloup.option("--cats-eye-angle", type=float, help="... its direction, degrees.")
+@cloup.option("--squeeze", type=float, help="... width over height of an anamorphic PSF.")
+@cloup.option("--spherical-aberration", type=float, help="... above 0: dark rim behind focus, bright in front.")
+@cloup.option("--obstruction", type=float, help="... radius of a central obstruction, radii.")
+@cloup.option("--shutter-curve", help="combined: openness over time (0,1,1,0.5) or trapezoid:RISE,FALL.")
+@cloup.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
+@cloup.option("--camera", "camera_path", help="Camera file (JSON): of those frames; for physicallens and volume.")
+@cloup.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
+@cloup.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler (HOST:PORT).")
+@cloup.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
+@cloup.option("--extend", is_flag=True, help="Widen the database OUTPUT: its range, its density, or for more frames.")
+@cloup.option("--log", type=click.Path(dir_okay=False), help="Add a line for each finished cell to this file.")
+@json_option
+def build(
+    model: str,
+    output: str,
+    density: str | None,
+    frame_paths: tuple[str, ...],
+    camera_path: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Build a database of spreadlets for a PSF MODEL: simplelens, combined, physicallens, volume or stylized.
+
+    Options that start with a model's name belong to that model.
+
+    An interrupted build leaves its finished cells in OUTPUT.parts; the same command goes on from there. With --extend,
+    what is not given stays as it is, and what is there is kept.
+
+    Example: spreadlets build combined -o combined.h5 --max-coc 64 --max-motion 128
+
+    Example: spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
+    """
+    from spreadlets.api import build_database
+    from spreadlets.files.exr_frames import read_frame
+    from spreadlets.psf.database import open_database
+    from spreadlets.scene.camera import read_camera
+
+    if frame_paths and not camera_path:
+        raise click.UsageError("--for needs --camera, too")
+    if camera_path:
+        options["camera"] = read_camera(camera_path)
+    if frame_paths:
+        options["frames"] = [read_frame(path) for path in frame_paths]
+    with progress_bar(f"building {model}", quiet=as_json) as progress:
+        build_database(model, output, density=float(density) if density else None, progress=progress, **options)
+    with open_database(output) as database:
+        print_figures(database.summary(), as_json)
+
+
+@cloup.command()
+@cloup.argument("target", metavar="DB|FRAME.exr")
+@cloup.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells of a DB (PNG).")
+@cloup.option("--verify", is_flag=True, help="Check every cell of a DB against its recorded figures; takes a while.")
+@cloup.option("--jobs", type=click.IntRange(min=1), help="Processes for --verify (default: all cores).")
+@cloup.option("--camera", "camera_path", type=click.Path(dir_okay=False), help="Camera file (JSON) of a frame.")
+@input_options
+@json_option
+@click.pass_context
+def info(
+    context: click.Context,
+    /,
+    target: str,
+    plot: str | None,
+    verify: bool,
+    jobs: int | None,
+    camera_path: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Show what a database holds and how good it is (a file or a shipped name), or how a frame would be read.
+
+    Of a frame: size, parts, what was recognised as colour, depth and motion, by which convention, and the ranges of
+    values.
+
+    Example: spreadlets info frame.exr --preset nuke
+    """
+    from spreadlets.files.inspect import is_frame_file
+
+    if is_frame_file(target):
+        if plot or verify:
+            raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
+        print_figures(_frame_info(target, camera_path, options), as_json)
+        return
+    given = [name for name in ("camera_path", *options) if context.get_parameter_source(name) is not _DEFAULT]
+    if given:
+        raise click.UsageError(
+            f"{target} is no frame: --camera and the options of reading a frame are not for databases"
+        )
+    if jobs and not verify:
+        raise click.UsageError("--jobs is for --verify")
+    _database_info(target, plot, as_json, (verify, jobs))
+
+
+def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> dict[str, Any]:
+    from spreadlets.files.conventions import Scale
+    from spreadlets.files.inspect import frame_info
+    from spreadlets.files.recognise import ReadOptions
+    from spreadlets.scene.camera import read_camera
+
+    settings = input_settings(options)
+    camera = read_camera(camera_path) if camera_path else None
+    scale = Scale(camera, *(settings.pop(name) for name in ("depth_scale", "baseline_m", "max_displacement")))
+    return frame_info(path, ReadOptions(**settings, scale=scale))
+
+
+def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:
+    """Print the summary of a database, verified if that is asked for: then a bad one is an error."""
+    from spreadlets.api import DensePsfs, verify_database
+    from spreadlets.psf.database import open_database
+    from spreadlets.reports.database_plot import plot_database
+
+    verify, jobs = verification
+    with open_database(database) as opened:
+        if plot:
+            plot_database(opened, plot, DensePsfs(opened))
+        figures = opened.summary()
+        if verify:
+            with progress_bar(f"verifying {opened.path.name}", quiet=as_json) as progress:
+                figures["verified"] = verify_database(opened, jobs=jobs, progress=progress)
+        print_figures(figures, as_json)

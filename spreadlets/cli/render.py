@@ -1,0 +1,292 @@
+"""Commands that make images: synthesis on frames and sequences, reconstruction from samples."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import click
+import cloup
+
+from spreadlets.cli.options import (
+    TableChoice,
+    camera_options,
+    effect_options,
+    input_options,
+    input_settings,
+    json_option,
+    output_options,
+    splatting_options,
+)
+from spreadlets.cli.show import print_figures, progress_bar
+from spreadlets.errors import AmbiguousInputWarning
+
+
+class _Job(NamedTuple):
+    """One image to make: the files it is made from, and how."""
+
+    frames: Sequence[str]
+    output: str
+    camera: str
+    reference: str | None
+    reading: dict[str, Any]
+    rendering: dict[str, Any]
+
+
+@cloup.command()
+@cloup.argument("frames", nargs=-1, required=True, type=click.Path(dir_okay=False), metavar="FRAME.exr...")
+@output_options("The image to write.")
+@camera_options
+@cloup.option_group(
+    "Method",
+    cloup.option(
+        "--method",
+        type=TableChoice("spreadlets.runtime.options", "METHODS"),
+        default="spreadlets",
+        show_default=True,
+        help="dense and dense-rows draw PSFs in full, gather filters.",
+    ),
+    cloup.option("--db", "database", help="Database: a file or a shipped name."),
+    cloup.option("--vignetting", is_flag=True, help="Darken the corners as the lens of a physicallens database does."),
+)
+@effect_options("Leave")
+@splatting_options(
+    layers="the frame's own, else 4", fireflies="Dim pixels brighter than this times any other around them."
+)
+@input_options
+@cloup.option_group(
+    "Deep images and invalid values",
+    cloup.option("--deep-layers", "max_layers", type=click.IntRange(min=1), help="Most layers made (default: 8)."),
+    cloup.option("--repair", is_flag=True, help="Drop pixels with invalid values instead of refusing the frame."),
+)
+@cloup.option_group(
+    "Sequences",
+    cloup.option("--frames", "numbers", help="Frames to make, such as 1-24, 1-24x2 or 1,5,9-12 (default: all)."),
+    cloup.option("--overwrite", is_flag=True, help="Make frames again whose results exist."),
+)
+@json_option
+def synth(
+    frames: tuple[str, ...],
+    output: str,
+    camera: str,
+    reference: str | None,
+    numbers: str | None,
+    overwrite: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
+
+    Several frames are depth layers of one view, nearest first. A path with a counter, such as frame.####.exr or
+    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept.
+
+    Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
+    """
+    from spreadlets.files.sequence import is_pattern, numbered
+    from spreadlets.runtime.options import RENDER_OPTIONS
+
+    rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
+    reading = {name: value for name, value in input_settings(options).items() if value is not None}
+    if not any(is_pattern(path) for path in frames):
+        if numbers or overwrite:
+            raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
+        print_figures(_synthesise(_Job(frames, output, camera, reference, reading, rendering)), as_json)
+        return
+    with _databases() as choose:
+
+        def make(number: int, path: str) -> dict[str, Any]:
+            inputs = [numbered(item, number) for item in frames]
+            truth = numbered(reference, number) if reference else None
+            name, motion = rendering["database"], rendering["motion"]
+            chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
+            report = _synthesise(_Job(inputs, path, numbered(camera, number), truth, reading, chosen))
+            warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
+            return report
+
+        others = [camera, *([reference] if reference else [])]
+        with warnings.catch_warnings():
+            print_figures(_sequence(frames, others, output, numbers, overwrite, make, as_json), as_json)
+
+
+def _synthesise(job: _Job) -> dict[str, Any]:
+    """Make one image and return its report; the database may be chosen by the frame."""
+    from spreadlets import metrics
+    from spreadlets.api import synthesize
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.runtime.clock import Clock
+    from spreadlets.scene.camera import read_camera
+
+    clock = Clock()
+    with clock.step("read"):
+        camera = read_camera(job.camera)
+        frame = exr.read_frame(list(job.frames), camera=camera, **job.reading)
+        truth = exr.read_image(job.reference) if job.reference else None
+    database = job.rendering["database"]
+    rendering = job.rendering | {"database": database(frame) if callable(database) else database}
+    image, report = synthesize(frame, camera, **rendering, report=True, clock=clock)
+    if frame.dropped_pixels:
+        warnings.warn(f"{frame.dropped_pixels} invalid pixels were dropped", stacklevel=1)
+    figures = metrics.compare(image, truth) if truth is not None else {}
+    with clock.step("write"):
+        exr.write_image(job.output, image)
+    return report.to_dict() | {"time_s": clock.times()} | figures
+
+
+def _sequence(
+    frames: Sequence[str],
+    others: Sequence[str],
+    output: str,
+    numbers: str | None,
+    overwrite: bool,
+    make: Callable[[int, str], dict[str, Any]],
+    as_json: bool,
+) -> dict[str, Any]:
+    """Make the frames of a sequence, with a bar; for people each frame's report is cut to its time."""
+    from spreadlets.files.sequence import listed, run_sequence, sequence_frames
+
+    chosen, gaps = sequence_frames(frames, others, output, numbers)
+    if gaps:
+        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
+    with progress_bar(os.path.basename(output), quiet=as_json) as progress:
+        report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
+    if not as_json:
+        times = [None if entry["skipped"] else entry["time_s"]["total"] for entry in report["frames"]]
+        shown = ["kept" if seconds is None else f"{seconds:.2f} s" for seconds in times]
+        report["frames"] = {entry["output"]: text for entry, text in zip(report["frames"], shown, strict=True)}
+    return report
+
+
+@contextmanager
+def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
+    """Give a function that returns an open database for a frame; each is opened once."""
+    from spreadlets.api import default_database
+    from spreadlets.psf.database import Database, open_database
+
+    opened: dict[str, Database] = {}
+
+    def choose(name: str | None, frame: Any, motion: bool) -> Database:
+        wanted = name or default_database(motion and any(layer.has_motion for layer in frame.layers))
+        if wanted not in opened:
+            opened[wanted] = open_database(wanted)
+        return opened[wanted]
+
+    try:
+        yield choose
+    finally:
+        for database in opened.values():
+            database.close()
+
+
+@cloup.command()
+@cloup.argument("samples", type=click.Path(dir_okay=False), metavar="SAMPLES.exr")
+@output_options("The image to write.")
+@camera_options
+@cloup.option_group(
+    "Method",
+    cloup.option(
+        "--method",
+        type=TableChoice("spreadlets.runtime.options", "RECONSTRUCTION_METHODS"),
+        default="spreadlets",
+        show_default=True,
+        help="dense and dense-rows draw PSFs in full; sheared to lrdm-ewa are layered reconstructions; mean is that of "
+        "each pixel's samples; bm3d and oidn denoise it with an optional package.",
+    ),
+    cloup.option("--db", "database", help="Database: a file or a shipped name."),
+    cloup.option("--spp", type=click.IntRange(min=1), help="Use so many samples of each pixel (default: all)."),
+    cloup.option(
+        "--set",
+        "assignments",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="A setting of a layered reconstruction, such as tile=64 or block=0; may be repeated.",
+    ),
+    cloup.option(
+        "--denoise",
+        type=TableChoice("spreadlets.runtime.options", "DENOISERS"),
+        help="Denoise what is sharp and still, with an optional package.",
+    ),
+    cloup.option(
+        "--no-calibrate",
+        "calibrate",
+        is_flag=True,
+        flag_value=False,
+        default=True,
+        help="Do not bring the image's local means to those of the samples.",
+    ),
+)
+@effect_options("Take")
+@splatting_options(
+    layers="4",
+    fireflies="Dim samples brighter than this times any other that comes from within a pixel (default: 32; inf: off).",
+)
+@cloup.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")
+@json_option
+def reconstruct(
+    samples: str,
+    output: str,
+    camera: str,
+    reference: str | None,
+    spp: int | None,
+    repair: bool,
+    as_json: bool,
+    assignments: tuple[str, ...],
+    **options: Any,
+) -> None:
+    """Clean a buffer of stochastic samples, which were rendered through lens and shutter.
+
+    SAMPLES.exr holds one part per sample, or is a TLFR buffer.
+
+    Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
+    """
+    from spreadlets import metrics
+    from spreadlets.api import reconstruct as make
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.exr_samples import read_samples
+    from spreadlets.runtime.clock import Clock
+    from spreadlets.scene.camera import read_camera
+
+    clock = Clock()
+    with clock.step("read"):
+        lens = read_camera(camera)
+        buffer = read_samples(samples, camera=lens, repair=repair)
+        truth = exr.read_image(reference) if reference else None
+    given = buffer.take(spp) if spp else buffer
+    image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
+    if buffer.dropped_samples:
+        warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
+    figures = metrics.compare(image, truth) if truth is not None else {}
+    with clock.step("write"):
+        exr.write_image(output, image)
+    print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
+
+
+@cloup.command()
+@json_option
+def tune(as_json: bool) -> None:
+    """Find how much work a thread should take at a time in the methods lrdm, lrdm-sheared and lrdm-ewa, and keep it.
+
+    The sizes are kept in a file of this user's; images do not depend on them. Takes a few seconds.
+
+    Example: spreadlets tune
+    """
+    from spreadlets.api import tune_layered_methods
+
+    print_figures(tune_layered_methods(), as_json)
+
+
+def _assigned(assignments: tuple[str, ...]) -> dict[str, object]:
+    """Return the values of NAME=VALUE by name: numbers, true and false, or else text."""
+    values: dict[str, object] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise click.UsageError(f"--set {assignment}: a setting is NAME=VALUE, such as bilinear=true")
+        try:
+            values[name] = json.loads(text)
+        except ValueError:
+            values[name] = text
+    return values
