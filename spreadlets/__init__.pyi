@@ -1,5 +1,6 @@
 from . import errors as errors
 from . import metrics as metrics
+from . import models as models
 from .api import build_database as build_database
 from .api import reconstruct as reconstruct
 from .api import synthesize as synthesize

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.models import Model, option_names
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import refusing
 from spreadlets.scene.camera import ThinLens
@@ -288,7 +289,7 @@ def default_database(moving: bool) -> str:
 
 
 def build_database(
-    model: str,
+    model: str | Model,
     path: str | os.PathLike[str],
     *,
     frames: Sequence[Frame] | None = None,
@@ -299,7 +300,9 @@ def build_database(
 
     Parameters
     ----------
-    model, path, options
+    model : str or Model
+        Name of a PSF model, or one with options, such as ``spreadlets.models.Combined(max_coc=64, blades=6)``.
+    path, options
         See `precompute.build.build.build_database`.
     frames : sequence of Frame, optional
         Build only the cells and directions that these frames use; needs the camera.
@@ -307,25 +310,28 @@ def build_database(
         Lens and shutter for `frames`, and for models that depend on the camera.
     """
     from spreadlets.precompute.build.build import build_database as build
-    from spreadlets.precompute.build.build import build_grid, takes_option
+    from spreadlets.precompute.build.build import build_grid
 
+    name = model if isinstance(model, str) else model.name
+    if not isinstance(model, str):
+        options = model.options() | options
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
     extend = bool(options.get("extend"))
-    if camera is not None and takes_option(model, "camera") and not extend:
+    if camera is not None and "camera" in option_names(name) and not extend:
         options["camera"] = camera
     elif camera is not None and frames is None:
-        raise InvalidParameterError(f"the model {model!r} takes a camera only together with the frames to build for")
-    if frames and takes_option(model, "width") and options.get("width") is None and not extend:
+        raise InvalidParameterError(f"the model {name!r} takes a camera only together with the frames to build for")
+    if frames and "width" in option_names(name) and options.get("width") is None and not extend:
         options["width"] = frames[0].shape[1]
     if frames is not None and camera is not None:
         from spreadlets.runtime.plan.plan import needed_spreadlets
 
         of_build = ("density", "rays", "jobs", "scheduler", "seed", "extend", "progress", "log")
         settings = {name: value for name, value in options.items() if name not in of_build}
-        grid = build_grid(model, path, extend, **settings)
+        grid = build_grid(name, path, extend, **settings)
         options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))
-    build(model, path, **options)
+    build(name, path, **options)
 
 
 def verify_database(database: Database, **options: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 ORDER = (
     {"errors", "arrays"},
     {"scene", "runtime.options"},
-    {"metrics", "psf"},
+    {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.label"},
     {"precompute.models", "runtime.splat", "runtime.integrate"},
     {"precompute.sparsify", "runtime.plan"},

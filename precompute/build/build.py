@@ -6,24 +6,22 @@ Workers compute (`precompute.build.workers`), this process alone writes: finishe
 
 from __future__ import annotations
 
-import inspect
 import os
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from spreadlets.errors import BuildStoppedError, InvalidParameterError
+from spreadlets.models import option_names
 from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
 from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
 from spreadlets.precompute.build.progress import BuildProgress, Progress
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
 from spreadlets.precompute.build.workers import AGAIN, open_workers
-from spreadlets.precompute.models.aperture import Aperture
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
@@ -83,7 +81,7 @@ def build_database(
         A line for each finished cell, with an estimate of what is left, is added to this file; by default to one in
         the folder of parts, which goes with it.
     options
-        Those of the model, see `precompute.models.registry.REGISTRY`; None stands for the model's own value.
+        Those of the model, see `spreadlets.models`; None stands for the model's own value.
 
     Raises
     ------
@@ -182,24 +180,11 @@ def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
         # The table of models gives the error.
         return {}
     given = {name: value for name, value in options.items() if value is not None}
-    known = _option_names(model)
+    known = option_names(model)
     for name in given:
         if name not in known:
             raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
     return REGISTRY[model].read_settings(**given)
-
-
-def _option_names(model: str) -> list[str]:
-    """Return the names of a model's own options."""
-    parameters = inspect.signature(REGISTRY[model].read_settings).parameters.values()
-    names = [each.name for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
-    takes_shape = len(names) < len(parameters)
-    return names + [field.name for field in fields(Aperture)] * takes_shape
-
-
-def takes_option(model: str, name: str) -> bool:
-    """Return whether a model has an option of its own of this name."""
-    return model in REGISTRY and name in _option_names(model)
 
 
 def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:

@@ -25,8 +25,7 @@ class ModelEntry(NamedTuple):
     Attributes
     ----------
     read_settings : callable
-        Turns the options of the model into its settings; its keywords are the options that the model has, and if it
-        takes any, those of an aperture.
+        Turns the options of the model, see `spreadlets.models`, into its settings.
     tracer : callable
         What makes the PSFs of a model on a side of the focus (1 behind, -1 in front).
     """

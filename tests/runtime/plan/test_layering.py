@@ -555,7 +555,7 @@ def test_fewer_samples_can_be_asked_for(files, small_combined_path):
         (("--spp", "3"), "2"),
         (("--layers", "65"), "layers is 65: allowed are 1 to 64"),
         (("--softness", "2"), "softness is 2.0: allowed are 0"),
-        (("--method", "magic"), "method 'magic' is unknown"),
+        (("--method", "magic"), "'magic' is not one of 'spreadlets', 'dense'"),
         (("--reference", "nowhere.exr"), "nowhere.exr"),
     ],
 )
