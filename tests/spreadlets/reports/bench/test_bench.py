@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from spreadlets import api
 from spreadlets.cli.main import cli
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_frames import write_frame, write_image
@@ -204,7 +203,7 @@ def test_every_contender_of_a_frame_makes_an_image(folder):
 @pytest.mark.parametrize("method", contenders.RECONSTRUCTION_PEERS)
 def test_a_method_runs_or_says_what_is_missing(method, monkeypatch):
     assert missing_for(method) == "" or "no such method" in missing_for(method) or "pip install" in missing_for(method)
-    monkeypatch.setattr(api, "RECONSTRUCTION_METHODS", (method,))
+    monkeypatch.setattr(contenders, "RECONSTRUCTION_METHODS", (method,))
     monkeypatch.setattr(contenders, "find_spec", lambda package: None)
     package = contenders.OPTIONAL_PACKAGES.get(method)
     assert missing_for(method) == (
