@@ -14,6 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays"},
+    {"compiled", "parallel"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.label"},
@@ -86,7 +87,7 @@ def test_no_modules_import_each_other_in_a_circle():
 def test_kernel_modules_import_only_numpy_numba_math(name):
     """And the compiler that Numba itself is made with."""
     modules = {module for module in imported_modules(name) if "_kernels" not in module}
-    allowed = {"numpy", "numba", "math", "llvmlite", "__future__", "spreadlets.arrays"}
+    allowed = {"numpy", "numba", "math", "llvmlite", "__future__", "spreadlets.arrays", "spreadlets.compiled"}
     assert {module if module.startswith("spreadlets") else module.split(".")[0] for module in modules} <= allowed
 
 
