@@ -91,6 +91,14 @@ def test_kernel_modules_import_only_numpy_numba_math(name):
     assert {module if module.startswith("spreadlets") else module.split(".")[0] for module in modules} <= allowed
 
 
+def test_one_place_says_how_kernels_are_compiled_and_one_how_they_run_in_parallel():
+    """A kernel with a parallel loop of its own takes three times as long to compile, and threads would abort in it."""
+    for name, path in MODULES.items():
+        text = path.read_text()
+        assert name == "spreadlets.compiled" or not any(word in text for word in ("njit", ".jit", "prange")), name
+        assert name == "spreadlets.parallel" or "ThreadPoolExecutor" not in text, name
+
+
 def test_no_two_kernel_modules_have_the_same_name():
     names = [name.split(".")[-1] for name in MODULES if name.endswith("_kernels")]
     assert len(names) == len(set(names)) and "_kernels" not in names
