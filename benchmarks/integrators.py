@@ -14,13 +14,13 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from poisson_sources import TRAINING, UNSEEN, Family, Rng
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import limit_threads
 from spreadlets.psf.laplacian import laplacian, solve_dirichlet, solve_free_space
 from spreadlets.runtime.integrate.convolution_pyramid import Integrator, UnbalancedSourceWarning, integrate
 
@@ -195,6 +195,7 @@ def verdict(row: tuple[str, int], source: Image) -> str:
     return f"{'warned' if warned else 'silent'}, {'finite' if np.isfinite(image).all() else 'not finite'}"
 
 
+@limit_threads(THREADS)
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -202,7 +203,6 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "integrators.txt")
     options = parser.parse_args()
     warnings.simplefilter("ignore", UnbalancedSourceWarning)
-    numba.set_num_threads(THREADS)
     sections = [
         report_times([255, 256] if options.quick else [511, 512, 1023, 1024, 2047, 2048, 4095, 4096]),
         report_cost([128, 256] if options.quick else [256, 512, 1024, 2048, 4096, 8192]),

@@ -17,13 +17,13 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-import numba
 import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 from scipy import ndimage
 from speed import rendered
 
 import spreadlets as sp
+from spreadlets.parallel import limit_threads, thread_count
 from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4, 8, 16)
@@ -149,11 +149,11 @@ def draw(curves: dict[str, dict[str, list[float]]]) -> None:
     figure.savefig(RESULTS / "layers.png", dpi=80)
 
 
+@limit_threads(min(2, thread_count()))
 def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--rounds", type=int, default=7)
     given = arguments.parse_args()
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     found = scenes(given.frames)
     if not found:
         return

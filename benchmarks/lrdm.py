@@ -22,13 +22,13 @@ import time
 import tracemalloc
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
 from spreadlets.arrays import Image
 from spreadlets.metrics import psnr, ssim
+from spreadlets.parallel import limit_threads
 from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm, spread_of
 from spreadlets.runtime.sheared.reconstruct import make_method
 from spreadlets.runtime.sheared.samples import Samples
@@ -226,11 +226,11 @@ TABLES = {
 """In the order of lrdm.txt, in which an empty line ends each."""
 
 
+@limit_threads(1)
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
     given = options.parse_args()
-    numba.set_num_threads(1)
     found = scenes(given.frames)
     if not found:
         return

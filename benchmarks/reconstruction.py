@@ -20,13 +20,13 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 
-import numba
 import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 
 import spreadlets as sp
 from spreadlets.arrays import Image
 from spreadlets.metrics import psnr, ssim
+from spreadlets.parallel import limit_threads, thread_count
 from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4)
@@ -146,9 +146,9 @@ def peers(scene: Scene, image: Image, database: sp.Database, report: Report) -> 
     return [*images, mean]
 
 
+@limit_threads(min(2, thread_count()))
 def main() -> None:
     given = parser(__doc__).parse_args()
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     found = scenes(given.frames)
     if not found:
         return

@@ -20,14 +20,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
-import numba
 import numpy as np
 from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
 from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.arrays import Image
+from spreadlets.compiled import kernel
 from spreadlets.metrics import psnr, ssim
+from spreadlets.parallel import for_bands, limit_threads, thread_count
 from spreadlets.scene.display import display_encode
 
 COUNTS = (1, 2, 4)
@@ -52,7 +53,7 @@ LARGE_REPEATS = 4
 """Of the 4 samples of a pixel: 16."""
 
 
-@numba.njit(cache=True)
+@kernel
 def meet(alpha, coc, row, col, offset, lens):
     """Return the layer (or -1) and pixel (row, col) that a ray of a pixel meets, of depth layers, nearest first.
 
@@ -74,14 +75,14 @@ def meet(alpha, coc, row, col, offset, lens):
     return -1, row, col
 
 
-@numba.njit(cache=True, parallel=True)
-def trace(alpha, colour, coc, n_samples, seed, samples, total):
+@kernel
+def trace(begin, end, alpha, colour, coc, n_samples, seed, samples, total):
     """Trace samples of each pixel, spread evenly over the distance from the lens's centre, in random order.
 
     Fills `samples` (H, W, S, 10) with colour, CoC, layer, lens (2) and offset (2) of the first S, and `total` (H, W, 4)
     with the mean colour of all.
     """
-    for row in numba.prange(alpha.shape[1]):
+    for row in range(begin, end):
         np.random.seed(seed * alpha.shape[1] + row)  # noqa: NPY002
         for col in range(alpha.shape[2]):
             for s in range(n_samples):
@@ -89,7 +90,7 @@ def trace(alpha, colour, coc, n_samples, seed, samples, total):
                 angle = 2 * np.pi * np.random.random()  # noqa: NPY002
                 lens = radius * np.cos(angle), radius * np.sin(angle)
                 offset = np.random.random() - 0.5, np.random.random() - 0.5  # noqa: NPY002
-                k, r, c = meet(alpha, coc, np.int64(row), np.int64(col), offset, lens)
+                k, r, c = meet(alpha, coc, row, col, offset, lens)
                 if k >= 0:
                     total[row, col, :3] += colour[k, r, c] / n_samples
                     total[row, col, 3] += 1 / n_samples
@@ -112,7 +113,7 @@ def traced(scene: Scene, n_samples: int, kept: int, seed: int) -> tuple[sp.Sampl
     depth = np.stack([filled(layer.depth, layer.radiance[..., 3] > 0) for layer in layers])
     coc = scene.camera.coc_radius(depth, alpha.shape[2]).astype(np.float64)
     samples, total = np.zeros((*alpha.shape[1:], kept, 10)), np.zeros((*alpha.shape[1:], 4))
-    trace(alpha, colour.astype(np.float64), coc, n_samples, seed, samples, total)
+    for_bands(trace, alpha.shape[1], alpha, colour.astype(np.float64), coc, n_samples, seed, samples, total)
     lens, offset = samples[..., 6:8], samples[..., 8:]
     far = np.where(samples[..., 5] < 0, np.inf, 1.0)  # the CoC stands for the depth
     still = np.zeros_like(lens)
@@ -311,11 +312,11 @@ TABLES: dict[str, tuple[Callable[[Report, Scene], None], tuple[str, ...]]] = {
 """What makes each table, and its head. Differences are in steps of 8 bits; borders are the error's steps there."""
 
 
+@limit_threads(min(2, thread_count()))
 def main() -> None:
     options = parser(__doc__)
     options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
     given = options.parse_args()
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     visibility(RESULTS / "sheared_visibility.png")
     found = scenes(given.frames)
     for name in given.tables if found else ():

@@ -19,12 +19,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.api import DensePsfs
+from spreadlets.compiled import kernel
+from spreadlets.parallel import for_blocks, limit_threads, thread_count
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.options import Options
 from spreadlets.runtime.render import synthesize
@@ -35,10 +36,10 @@ RADII = (16, 32, 64, 128)
 CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.01, focus_distance_m=4.0, shutter=(-0.25, 0.25))
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def multiply_add(image: np.ndarray, radiance: np.ndarray, weight: np.float32, repeats: int) -> None:
+@kernel
+def multiply_add(begin: int, end: int, image: np.ndarray, radiance: np.ndarray, weight: np.float32, repeats: int):
     """Add a scaled block to another, over and over: the machine's rate for contiguous data in cache."""
-    for thread in numba.prange(2):
+    for thread in range(begin, end):
         for _ in range(repeats):
             for k in range(image.shape[1]):
                 image[thread, k] += weight * radiance[thread, k]
@@ -47,11 +48,11 @@ def multiply_add(image: np.ndarray, radiance: np.ndarray, weight: np.float32, re
 def unit_time() -> float:
     """Return the seconds that two threads take for one contiguous float4 multiply-add."""
     image, radiance = np.zeros((2, 2, 1 << 14), np.float32)
-    multiply_add(image, radiance, np.float32(1), 1)
+    for_blocks(multiply_add, 2, image, radiance, np.float32(1), 1)
     best = np.inf
     for _ in range(9):
         begin = time.perf_counter()
-        multiply_add(image, radiance, np.float32(1), 2000)
+        for_blocks(multiply_add, 2, image, radiance, np.float32(1), 2000)
         best = min(best, time.perf_counter() - begin)
     return best / (2 * 2000 * (1 << 12))
 
@@ -154,6 +155,7 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
     return "".join(f"{cell:>22}" if isinstance(cell, str) else f"{cell:>9.3f}" for cell in cells)
 
 
+@limit_threads(min(2, thread_count()))
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1024)
@@ -162,7 +164,6 @@ def main() -> None:
     parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
     parser.add_argument("--only", help="rows whose name contains this")
     arguments = parser.parse_args()
-    numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
     unit = unit_time()
     titles = ("dense s", "rows s", "tol 0 s", "s", "x tol 0", "x", "x rows", "1-SSIM", "unit/pt", "pts tol0", "pts")
     titles += ("plan ms", "splat", "integr.", "compos.")

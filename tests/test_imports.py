@@ -14,6 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays"},
+    {"compiled", "parallel"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.label"},
@@ -86,8 +87,16 @@ def test_no_modules_import_each_other_in_a_circle():
 def test_kernel_modules_import_only_numpy_numba_math(name):
     """And the compiler that Numba itself is made with."""
     modules = {module for module in imported_modules(name) if "_kernels" not in module}
-    allowed = {"numpy", "numba", "math", "llvmlite", "__future__", "spreadlets.arrays"}
+    allowed = {"numpy", "numba", "math", "llvmlite", "__future__", "spreadlets.arrays", "spreadlets.compiled"}
     assert {module if module.startswith("spreadlets") else module.split(".")[0] for module in modules} <= allowed
+
+
+def test_one_place_says_how_kernels_are_compiled_and_one_how_they_run_in_parallel():
+    """A kernel with a parallel loop of its own takes three times as long to compile, and threads would abort in it."""
+    for name, path in MODULES.items():
+        text = path.read_text()
+        assert name == "spreadlets.compiled" or not any(word in text for word in ("njit", ".jit", "prange")), name
+        assert name == "spreadlets.parallel" or "ThreadPoolExecutor" not in text, name
 
 
 def test_no_two_kernel_modules_have_the_same_name():

@@ -12,11 +12,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from spreadlets.parallel import limit_threads
 from spreadlets.precompute.models.registry import psf_footprint, trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.database_file import CellRecord
@@ -105,13 +105,8 @@ def build_unit(unit: WorkUnit) -> UnitResult:
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Keep kernels and linear algebra on one thread: units run side by side, and no sum depends on a thread count."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        numba.set_num_threads(threads)
+    with limit_threads(1), threadpool_limits(1):
+        yield
 
 
 def pose_seed(seed: int, cell: int, number: int) -> int:

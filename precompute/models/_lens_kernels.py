@@ -2,8 +2,9 @@
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 PASSED, BLOCKED, MISSED, REFLECTED = 0, 1, 2, 3
 """What a surface did to a ray: it passed, lay beyond the rim, missed the surface, was totally reflected."""
@@ -12,7 +13,7 @@ FAILED_CLEARANCE = -1.0
 """Clearance of rays that do not get to the sensor."""
 
 
-@numba.njit(cache=True, fastmath=False, error_model="numpy")
+@kernel(error_model="numpy")
 def _refract(ray, curvature, conic, ratio):
     """Move a ray, relative to a surface's vertex, to that surface, and refract it there; return what happened.
 
@@ -47,7 +48,7 @@ def _refract(ray, curvature, conic, ratio):
     return PASSED
 
 
-@numba.njit(cache=True, fastmath=False, error_model="numpy")
+@kernel(error_model="numpy")
 def trace_one(ray, table, index, sensor_distance):
     """Trace a ray through a lens onto the sensor.
 
@@ -89,8 +90,8 @@ def trace_one(ray, table, index, sensor_distance):
     return clearance, narrowest, PASSED if clearance >= 0.0 else BLOCKED
 
 
-@numba.njit(cache=True, fastmath=False, error_model="numpy", parallel=True)
-def trace_lines(place, slope, index, table, distances, out, events):
+@kernel(error_model="numpy")
+def trace_lines(begin, end, place, slope, index, table, distances, out, events):
     """Trace rays along straight lines across the entrance pupil.
 
     Parameters
@@ -111,7 +112,7 @@ def trace_lines(place, slope, index, table, distances, out, events):
         Counts what each surface did to the rays of each line: see `PASSED`.
     """
     pupil_distance, sensor_distance = distances
-    for line in numba.prange(place.shape[0]):
+    for line in range(begin, end):
         ray = np.empty(6)
         for node in range(place.shape[1]):
             sx, sy = slope[line, node, 0], slope[line, node, 1]

@@ -6,8 +6,9 @@ on which thread traces it.
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 MAX_COLLISIONS = 512
 """A path that has collided so often has lost its way."""
@@ -18,7 +19,7 @@ MAJORANT = 1.25
 _U = np.uint64
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def seed_state(seed: int, path: int) -> np.ndarray:
     """Return the generator's state for a path, uint64 of shape (1,)."""
     state = np.empty(1, np.uint64)
@@ -26,7 +27,7 @@ def seed_state(seed: int, path: int) -> np.ndarray:
     return state
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def uniform(state: np.ndarray) -> float:
     """Return the next number in (0, 1] (SplitMix64; Steele, Lea and Flood 2014)."""
     state[0] += _U(0x9E3779B97F4A7C15)
@@ -37,7 +38,7 @@ def uniform(state: np.ndarray) -> float:
     return (float(z >> _U(11)) + 1.0) * 2.0**-53
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def free_path(density: float, state: np.ndarray) -> float:
     """Return the distance to the next collision by Woodcock tracking."""
     distance = 0.0
@@ -47,7 +48,7 @@ def free_path(density: float, state: np.ndarray) -> float:
             return distance
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def scattering_cosine(g: float, u: float) -> float:
     """Return the cosine of the scattering angle of Henyey and Greenstein, by its inverse distribution function."""
     if abs(g) < 1e-6:
@@ -56,7 +57,7 @@ def scattering_cosine(g: float, u: float) -> float:
     return min(max((1.0 + g * g - part * part) / (2.0 * g), -1.0), 1.0)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _turn(x: float, y: float, z: float, cosine: float, angle: float) -> tuple[float, float, float]:
     """Turn a direction by a polar angle, given by its cosine, and an azimuth about itself."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -72,21 +73,21 @@ def _turn(x: float, y: float, z: float, cosine: float, angle: float) -> tuple[fl
     return new_x / norm, new_y / norm, new_z / norm
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _first_collision(density: float, distance: float, state: np.ndarray) -> float:
     """Return the distance of a first collision that lies before a given distance."""
     before = -math.expm1(-density * distance)
     return min(-math.log1p(-before * (1.0 - uniform(state))) / density, distance)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _distance(u: float, low: float, high: float) -> float:
     """Map a uniform number to the tent over [low, high], see `precompute.trace.line_sample.tent`."""
     t = math.sqrt(2.0 * u) - 1.0 if u < 0.5 else 1.0 - math.sqrt(2.0 - 2.0 * u)
     return 0.5 * (low + high) + 0.5 * (high - low) * t
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost):
     """Trace one path whose first collision lies before the plane; ``weight`` (C,) is its light, used up."""
     density, g = properties[0], properties[1]
@@ -110,8 +111,8 @@ def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost)
     lost += weight
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def walk(n_paths, seed, properties, geometry, rings, absorbed, lost):
+@kernel
+def walk(begin, end, n_paths, seed, properties, geometry, rings, absorbed, lost):
     """Trace paths that collide at least once before they reach the plane.
 
     Parameters
@@ -130,7 +131,7 @@ def walk(n_paths, seed, properties, geometry, rings, absorbed, lost):
     density, low, high = properties[0], geometry[0], geometry[1]
     # Planes at which more light is scattered get more paths: each path stands for the same energy.
     most = -math.expm1(-density * high)
-    for block in numba.prange(n_blocks):
+    for block in range(begin, end):
         weight = np.empty(n_channels)
         for path in range(n_paths * block // n_blocks, n_paths * (block + 1) // n_blocks):
             state = seed_state(seed, path)

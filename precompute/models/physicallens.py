@@ -19,6 +19,7 @@ import numpy as np
 
 from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import for_bands
 from spreadlets.precompute.models import prescription
 from spreadlets.precompute.models._lens_kernels import BLOCKED, MISSED, PASSED, REFLECTED, trace_lines
 from spreadlets.precompute.models.colour import LONGEST_NM, SHORTEST_NM, rgb_response
@@ -266,7 +267,9 @@ def _trace(
     out = np.empty((*place.shape[:2], 3))
     events = np.zeros((len(place), len(lens.surfaces), 4), np.int64)
     slopes = np.ascontiguousarray(np.broadcast_to(slope, place.shape))
-    trace_lines(
+    for_bands(
+        trace_lines,
+        len(place),
         np.ascontiguousarray(place),
         slopes,
         index,

@@ -15,6 +15,7 @@ import numpy as np
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import for_blocks
 from spreadlets.precompute.models._volume_kernels import walk
 from spreadlets.precompute.trace.line_sample import Painter, tent
 from spreadlets.psf.model import DEFAULT_MAX_DISTANCE_M, PsfModel
@@ -182,7 +183,7 @@ def trace_paths(
     properties = np.array([medium.density_per_m, medium.anisotropy, *medium.albedo])
     geometry = np.array([*distance_m, focal_length_px * RINGS_PER_PX])
     if distance_m[1] > 0.0:
-        walk(n_paths, seed, properties, geometry, rings, absorbed, lost)
+        for_blocks(walk, len(rings), n_paths, seed, properties, geometry, rings, absorbed, lost)
     u = (np.arange(N_NODES) + 0.5) / N_NODES
     direct = float(np.exp(-medium.density_per_m * tent(u, *distance_m)).mean())
     scattered = (1.0 - direct) / n_paths

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from spreadlets.compiled import kernel
 
 
-@njit(cache=True, fastmath=False)
+@kernel
 def throw_darts(cumulative, radius, uniform, max_failures, accepted):
     """Place pixels drawn by importance, refusing those nearer to a placed one than their own radius.
 
@@ -60,7 +61,7 @@ def throw_darts(cumulative, radius, uniform, max_failures, accepted):
     return n_accepted, n_failures
 
 
-@njit(cache=True, fastmath=False)
+@kernel
 def nearest_points(pixel_rc, point_rc, owner):
     """Find for each pixel its nearest point (the first in order of row among equals).
 
@@ -104,7 +105,7 @@ def nearest_points(pixel_rc, point_rc, owner):
         owner[i] = chosen
 
 
-@njit(cache=True, fastmath=True)
+@kernel(fastmath=True)
 def add_green(planes, quarter, point_rc, value):
     """Add the free-space solution of some points to an image, in place.
 
@@ -134,7 +135,7 @@ def add_green(planes, quarter, point_rc, value):
                     line[c] += weight * green[c - column]
 
 
-@njit(cache=True, fastmath=True)
+@kernel(fastmath=True)
 def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows):
     """Evaluate the similarity form's three rows for each sample and each orbit of points.
 

@@ -2,13 +2,13 @@
 
 import math
 
-import numba
 import numpy as np
 
 from spreadlets.arrays import DoubleArray
+from spreadlets.compiled import kernel
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def kronecker(first: int, total: int, most: int, shift: DoubleArray, alpha: DoubleArray) -> DoubleArray:
     """Fill rows with points ``first, first + 1, ...`` of a shifted Hammersley-Kronecker set of ``total`` points.
 
@@ -37,7 +37,7 @@ def kronecker(first: int, total: int, most: int, shift: DoubleArray, alpha: Doub
     return points
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def cut_lines(
     nodes: DoubleArray,
     density: DoubleArray,
@@ -86,7 +86,7 @@ def cut_lines(
     return count
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def deposit_segment(i: int, ends: DoubleArray, start: DoubleArray, stop: DoubleArray, image: DoubleArray) -> None:
     """Add segment i to ``image``: each pixel gets the energy of the part of the segment that lies in it.
 
@@ -148,8 +148,10 @@ def deposit_segment(i: int, ends: DoubleArray, start: DoubleArray, stop: DoubleA
         image[row, col, channel] += (1.0 - t) * density
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def deposit_segments(ends: DoubleArray, start: DoubleArray, stop: DoubleArray, images: DoubleArray) -> None:
+@kernel
+def deposit_segments(
+    begin: int, end: int, ends: DoubleArray, start: DoubleArray, stop: DoubleArray, images: DoubleArray
+) -> None:
     """Add segments to a stack of images, a contiguous share to each, so that no two threads meet in one image.
 
     Parameters
@@ -161,6 +163,6 @@ def deposit_segments(ends: DoubleArray, start: DoubleArray, stop: DoubleArray, i
     """
     n_blocks = images.shape[0]
     n = ends.shape[0]
-    for block in numba.prange(n_blocks):
+    for block in range(begin, end):
         for i in range(n * block // n_blocks, n * (block + 1) // n_blocks):
             deposit_segment(i, ends, start, stop, images[block])

@@ -21,6 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import for_blocks
 from spreadlets.precompute.trace._tracing_kernels import deposit_segments, kronecker
 from spreadlets.precompute.trace.line_sample import Segments, Tracer
 
@@ -117,7 +118,7 @@ def draw_segments(
     n_points = math.ceil(n_rays * PILOT_POINTS / _cost(pilot))
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
     for first in range(0, n_points, chunk):
-        deposit_segments(*make_segments(first, n_points, chunk), images)
+        for_blocks(deposit_segments, len(images), *make_segments(first, n_points, chunk), images)
     psf = gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
     return tracer.symmetrise(np.asarray(psf))
 

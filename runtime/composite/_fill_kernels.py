@@ -1,13 +1,14 @@
 """Compiled kernels of the composite step: normalise a layer, fill what was not seen of it, and put it behind others."""
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 COVERAGE, COUNT, LAST = range(3)
 """What a layer's sums are measured by: the share that was seen; that plus the sums' own weight; their weight alone."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _measure(weight, seen, kind):
     """Return by what the sums of a pixel are divided."""
     if kind == LAST:
@@ -17,12 +18,12 @@ def _measure(weight, seen, kind):
     return max(weight, seen)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def count_unseen(padded, top, left, seen, kind, least, shape):
+@kernel
+def count_unseen(begin, end, padded, top, left, seen, kind, least, shape):
     """Count the pixels of which less than ``least`` was seen; arguments as for `add_layer`."""
     count = 0
     rows, cols = padded.shape[:2]
-    for row in numba.prange(shape[0]):
+    for row in range(begin, end):
         for col in range(shape[1]):
             i, j = row - top, col - left
             weight = padded[i, j, 3] if 0 <= i < rows and 0 <= j < cols else np.float32(0.0)
@@ -31,7 +32,7 @@ def count_unseen(padded, top, left, seen, kind, least, shape):
     return count
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _blend(out, red, green, blue, alpha, opaque):
     """Put a premultiplied colour behind a pixel."""
     left = np.float32(1.0) - out[3]
@@ -41,8 +42,8 @@ def _blend(out, red, green, blue, alpha, opaque):
     out[3] = np.float32(1.0) if opaque else min(out[3] + left * alpha, np.float32(1.0))
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def add_layer(image, padded, top, left, seen, kind):
+@kernel
+def add_layer(begin, end, image, padded, top, left, seen, kind):
     """Divide a layer by its measure and put it behind an image.
 
     Parameters
@@ -60,7 +61,7 @@ def add_layer(image, padded, top, left, seen, kind):
     """
     rows, cols = padded.shape[:2]
     one = np.float32(1.0)
-    for row in numba.prange(image.shape[0]):
+    for row in range(begin, end):
         for col in range(image.shape[1]):
             i, j = row - top, col - left
             if not (0 <= i < rows and 0 <= j < cols):
@@ -72,14 +73,14 @@ def add_layer(image, padded, top, left, seen, kind):
             _blend(image[row, col], r, g, b, alpha, kind == LAST)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def pull_sums(padded, top, left, seen, kind, shape, coarse):
+@kernel
+def pull_sums(begin, end, padded, top, left, seen, kind, shape, coarse):
     """Fill ``coarse`` (H / 2, W / 2, 5), float32, with a layer's sums and their measure over 2 x 2 pixels.
 
     Other arguments are those of `add_layer`; ``shape`` is that of its image.
     """
     rows, cols = padded.shape[:2]
-    for row in numba.prange(coarse.shape[0]):
+    for row in range(begin, end):
         for col in range(coarse.shape[1]):
             red = green = blue = weight = measure = np.float32(0.0)
             for y in range(2 * row, min(2 * row + 2, shape[0])):
@@ -95,11 +96,11 @@ def pull_sums(padded, top, left, seen, kind, shape, coarse):
             out[0], out[1], out[2], out[3], out[4] = red, green, blue, weight, measure
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def pull(fine, coarse):
+@kernel
+def pull(begin, end, fine, coarse):
     """Fill ``coarse`` with the sums of 2 x 2 pixels of ``fine``, both (H, W, 5), float32."""
     height, width = fine.shape[:2]
-    for row in numba.prange(coarse.shape[0]):
+    for row in range(begin, end):
         for col in range(coarse.shape[1]):
             for c in range(5):
                 total = fine[2 * row, 2 * col, c]
@@ -112,7 +113,7 @@ def pull(fine, coarse):
                 coarse[row, col, c] = total
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _interpolate(coarse, row, col, c):
     """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one."""
     height, width = coarse.shape[:2]
@@ -125,8 +126,8 @@ def _interpolate(coarse, row, col, c):
     return near + quarter * (far - near)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def push(fine, coarse, least):
+@kernel
+def push(begin, end, fine, coarse, least):
     """Divide ``fine`` by its measure where there is enough of it, and fill the rest from ``coarse``, in place.
 
     Parameters
@@ -138,7 +139,7 @@ def push(fine, coarse, least):
     least : float32
         Measure from which a pixel stands for itself; below, the rest to this measure is filled.
     """
-    for row in numba.prange(fine.shape[0]):
+    for row in range(begin, end):
         for col in range(fine.shape[1]):
             measure = fine[row, col, 4]
             if measure >= least:
@@ -150,13 +151,13 @@ def push(fine, coarse, least):
                 fine[row, col, c] = fine[row, col, c] / least + missing * _interpolate(coarse, row, col, c)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def add_filled(image, padded, top, left, seen, kind, coarse, least):
+@kernel
+def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
     """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
     rows, cols = padded.shape[:2]
     zero, one = np.float32(0.0), np.float32(1.0)
-    for row in numba.prange(image.shape[0]):
-        each = np.empty(4, np.float32)
+    each = np.empty(4, np.float32)
+    for row in range(begin, end):
         for col in range(image.shape[1]):
             if image[row, col, 3] >= one:
                 continue

@@ -2,14 +2,18 @@
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
 """Columns of `layer_moments`."""
 
+STRIPE = 64
+"""Columns that `box_columns` takes at a time: whole cache lines of each row."""
 
-@numba.njit(cache=True, fastmath=False)
+
+@kernel
 def _add_moments(total, weight, coc, length, motion):
     """Add a pixel to the sums of its layer."""
     total[0] += weight
@@ -20,11 +24,10 @@ def _add_moments(total, weight, coc, length, motion):
     total[5] += weight * motion[1]
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def layer_moments(variant, layer, farther, coc, length, motion, n_layers):
-    """Sum, over the pixels of each layer in each row, what `MOMENTS` names; shape (H, n_layers, 6), float64."""
-    total = np.zeros((variant.shape[0], n_layers, 6), np.float64)
-    for row in numba.prange(variant.shape[0]):
+@kernel
+def layer_moments(begin, end, variant, layer, farther, coc, length, motion, total):
+    """Add to ``total`` (H, n_layers, 6), float64, what `MOMENTS` names of the pixels of each layer in each row."""
+    for row in range(begin, end):
         for col in range(variant.shape[1]):
             if variant[row, col] < 0:
                 continue
@@ -34,10 +37,9 @@ def layer_moments(variant, layer, farther, coc, length, motion, n_layers):
                     each = total[row, layer[row, col] + part]
                     labels = np.float64(coc[row, col]), np.float64(length[row, col])
                     _add_moments(each, weight, *labels, motion[row, col])
-    return total
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _share_before(layer, farther, number):
     """Return the share of a pixel that belongs to layers before a number."""
     if layer >= number:
@@ -45,10 +47,10 @@ def _share_before(layer, farther, number):
     return np.float32(1.0) - farther if layer == number - 1 else np.float32(1.0)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def seen_share(variant, layer, farther, number, seen):
+@kernel
+def seen_share(begin, end, variant, layer, farther, number, seen):
     """Fill ``seen`` (H, W), float32, with the share of each pixel that no layer before a number hides."""
-    for row in numba.prange(variant.shape[0]):
+    for row in range(begin, end):
         for col in range(variant.shape[1]):
             hidden = np.float32(0.0)
             if variant[row, col] >= 0:
@@ -56,7 +58,7 @@ def seen_share(variant, layer, farther, number, seen):
             seen[row, col] = np.float32(1.0) - hidden
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def scatter_passing(members, number, sample, moments, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 
@@ -101,12 +103,15 @@ def scatter_passing(members, number, sample, moments, padding, passing):
                         passing[i, j] += weight * across * along
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def _box_rows(image, half, repeat, out):
-    """Average each row over ``2 half + 1`` pixels; beyond the ends the last pixel repeats, or there is nothing."""
+@kernel
+def box_rows(begin, end, image, half, repeat, out):
+    """Average each row over ``2 half + 1`` pixels; beyond the ends the last pixel repeats, or there is nothing.
+
+    Sums run in float64: what has been added cancels exactly for shares and counts.
+    """
     height, width = image.shape
     scale = 1.0 / (2 * half + 1)
-    for row in numba.prange(height):
+    for row in range(begin, end):
         first = np.float64(image[row, 0]) if repeat else 0.0
         last = np.float64(image[row, width - 1]) if repeat else 0.0
         total = first * half
@@ -118,40 +123,28 @@ def _box_rows(image, half, repeat, out):
             total += (image[row, come] if come < width else last) - (image[row, gone] if gone >= 0 else first)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def _box_columns(image, half, repeat, out):
-    """Do as `_box_rows` for columns, in stripes of neighbouring ones."""
+@kernel
+def box_columns(begin, end, image, half, repeat, out):
+    """Do as `_box_rows` for columns, in STRIPEs of neighbouring ones."""
     height, width = image.shape
     scale = 1.0 / (2 * half + 1)
-    stripe = 64
-    for number in numba.prange((width + stripe - 1) // stripe):
-        begin, end = number * stripe, min((number + 1) * stripe, width)
-        total = np.zeros(stripe, np.float64)
+    for number in range(begin, end):
+        left, right = number * STRIPE, min((number + 1) * STRIPE, width)
+        total = np.zeros(STRIPE, np.float64)
         for row in range(-half, half + 1):
             if repeat or 0 <= row < height:
                 clamped = min(max(row, 0), height - 1)
-                for col in range(begin, end):
-                    total[col - begin] += image[clamped, col]
+                for col in range(left, right):
+                    total[col - left] += image[clamped, col]
         for row in range(height):
             gone, come = row - half, row + half + 1
-            for col in range(begin, end):
-                out[row, col] = total[col - begin] * scale
+            for col in range(left, right):
+                out[row, col] = total[col - left] * scale
             if repeat or come < height:
                 clamped = min(come, height - 1)
-                for col in range(begin, end):
-                    total[col - begin] += image[clamped, col]
+                for col in range(left, right):
+                    total[col - left] += image[clamped, col]
             if repeat or gone >= 0:
                 clamped = max(gone, 0)
-                for col in range(begin, end):
-                    total[col - begin] -= image[clamped, col]
-
-
-@numba.njit(cache=True, fastmath=False)
-def box_blur(image, half, repeat, spare):
-    """Blur an image (H, W), float32, in place by a box of ``2 half + 1`` px, twice; ``spare`` is of its shape.
-
-    Sums run in float64: what has been added cancels exactly for shares and counts.
-    """
-    for _ in range(2):
-        _box_rows(image, half, repeat, spare)
-        _box_columns(spare, half, repeat, image)
+                for col in range(left, right):
+                    total[col - left] -= image[clamped, col]

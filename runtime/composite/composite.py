@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST
 
@@ -46,19 +47,20 @@ def add_layer(
         Measure from which a pixel stands for itself.
     """
     bound = np.float32(least)
-    if not _fill_kernels.count_unseen(padded, *origin, seen, kind, bound, image.shape[:2]):
-        _fill_kernels.add_layer(image, padded, *origin, seen, kind)
+    sums, shape = (padded, *origin, seen, kind), image.shape[:2]
+    if not sum(for_bands(_fill_kernels.count_unseen, len(image), *sums, bound, shape)):
+        for_bands(_fill_kernels.add_layer, len(image), image, *sums)
         return
     levels = [_half_size(image)]
-    _fill_kernels.pull_sums(padded, *origin, seen, kind, image.shape[:2], levels[0])
+    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, levels[0])
     while max(levels[-1].shape[:2]) > 1:
         levels.append(_half_size(levels[-1]))
-        _fill_kernels.pull(levels[-2], levels[-1])
+        for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], levels[-1])
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        _fill_kernels.push(fine, coarse, bound)
-    _fill_kernels.add_filled(image, padded, *origin, seen, kind, levels[0], bound)
+        for_bands(_fill_kernels.push, len(fine), fine, coarse, bound)
+    for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], bound)
 
 
 def _half_size(image: Image) -> Image:

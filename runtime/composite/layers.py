@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.plan.layering import Membership
@@ -35,11 +36,12 @@ class Moments(NamedTuple):
 
 def layer_moments(passes: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
     """Return the means of each layer over passes of labels, motions (H, W, 2) and members; None for empty layers."""
-    total = sum(
-        _visibility_kernels.layer_moments(*members, labels.coc, labels.length, motion, n_layers).sum(axis=0)
-        for labels, motion, members in passes
-    )
-    return [_means(each) if each[0] > 0 else None for each in np.asarray(total)]
+    total = np.zeros((n_layers, len(_visibility_kernels.MOMENTS)), np.float64)
+    for labels, motion, members in passes:
+        rows = np.zeros((len(motion), *total.shape), np.float64)
+        for_bands(_visibility_kernels.layer_moments, len(rows), *members, labels.coc, labels.length, motion, rows)
+        total += rows.sum(axis=0)
+    return [_means(each) if each[0] > 0 else None for each in total]
 
 
 def _means(total: npt.NDArray[np.float64]) -> Moments:
@@ -50,7 +52,7 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
 def seen_share(members: Membership, number: int, moments: Moments) -> Image:
     """Return the share of a layer that nearer ones did not hide, blurred as the layer is, shape (H, W)."""
     seen = np.empty(members.variant.shape, np.float32)
-    _visibility_kernels.seen_share(*members, number, seen)
+    for_bands(_visibility_kernels.seen_share, len(seen), *members, number, seen)
     _blur(seen, moments, repeat=True)
     return seen
 
@@ -85,5 +87,16 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
 def _blur(image: Image, moments: Moments, *, repeat: bool) -> None:
     half = moments.box_half_width()
     if half:
-        _visibility_kernels.box_blur(image, half, repeat, np.empty_like(image))
+        box_blur(image, half, repeat=repeat)
     np.clip(image, 0.0, None, out=image)
+
+
+def box_blur(image: Image, half: int, *, repeat: bool) -> None:
+    """Blur an image (H, W) in place by a box of ``2 half + 1`` px, twice.
+
+    Beyond the border its pixels repeat, or there is nothing.
+    """
+    (height, width), spare = image.shape, np.empty_like(image)
+    for _ in range(2):
+        for_bands(_visibility_kernels.box_rows, height, image, half, repeat, spare)
+        for_bands(_visibility_kernels.box_columns, -(-width // _visibility_kernels.STRIPE), spare, half, repeat, image)

@@ -1,13 +1,14 @@
 """Compiled kernels of the calibration by samples: sums over blocks of pixels, and gains laid over the image."""
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def add_samples(radiance, valid, total, count):
+
+@kernel
+def add_samples(begin, end, radiance, valid, total, count):
     """Add one sample of each pixel, (H, W, 4) float32 where ``valid`` (H, W), to ``total`` (H, W, 4) and ``count``."""
-    for row in numba.prange(valid.shape[0]):
+    for row in range(begin, end):
         for col in range(valid.shape[1]):
             if valid[row, col]:
                 count[row, col] += np.float32(1.0)
@@ -15,8 +16,8 @@ def add_samples(radiance, valid, total, count):
                     total[row, col, c] += radiance[row, col, c]
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def block_sums(image, total, count, floor, side, sums):
+@kernel
+def block_sums(begin, end, image, total, count, floor, side, sums):
     """Sum, over blocks of pixels, what a least-squares gain and its error are made of.
 
     Parameters
@@ -33,7 +34,7 @@ def block_sums(image, total, count, floor, side, sums):
         the samples, and the weight w, the number of samples over the squared brightness.
     """
     height, width = count.shape
-    for i in numba.prange(sums.shape[1]):
+    for i in range(begin, end):
         for j in range(sums.shape[2]):
             sums[:, i, j] = 0.0
             for row in range(i * side, min((i + 1) * side, height)):
@@ -51,11 +52,11 @@ def block_sums(image, total, count, floor, side, sums):
                         sums[2, i, j, c] += part * part
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def apply_gain(image, gain, side):
+@kernel
+def apply_gain(begin, end, image, gain, side):
     """Multiply R, G and B of an image (H, W, 4), in place, by the gains (rows, cols, 3) of blocks, bilinearly."""
     rows, cols = gain.shape[:2]
-    for row in numba.prange(image.shape[0]):
+    for row in range(begin, end):
         y = min(max((row + 0.5) / side - 0.5, 0.0), rows - 1.0)
         top = min(int(y), max(rows - 2, 0))
         below = min(top + 1, rows - 1)

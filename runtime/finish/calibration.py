@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _calibration_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
@@ -74,7 +75,7 @@ def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.boo
     """
     total, count = np.zeros_like(image), np.zeros(image.shape[:2], np.float32)
     for number, sample in enumerate(radiance):
-        _calibration_kernels.add_samples(sample, valid[:, :, number], total, count)
+        for_bands(_calibration_kernels.add_samples, len(count), sample, valid[:, :, number], total, count)
     bright = image[::BLOCK, ::BLOCK, :3].mean(axis=2)
     if not (bright > 0).any():
         return
@@ -83,8 +84,8 @@ def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.boo
     sums = np.empty((3, rows, cols, 3), np.float64)
     for scale in SCALES:
         if LEAST_WINDOWS * scale <= min(image.shape[:2]):
-            _calibration_kernels.block_sums(image, total, count, floor, BLOCK, sums)
-            _calibration_kernels.apply_gain(image, _gain(sums, scale), BLOCK)
+            for_bands(_calibration_kernels.block_sums, rows, image, total, count, floor, BLOCK, sums)
+            for_bands(_calibration_kernels.apply_gain, len(image), image, _gain(sums, scale), BLOCK)
 
 
 def _gain(sums: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:

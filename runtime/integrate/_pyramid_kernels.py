@@ -5,8 +5,9 @@ loop serves any number of channels and a neighbouring pixel lies `C` floats away
 same instructions from the same inputs whichever thread owns it, so results do not depend on the number of threads.
 """
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
@@ -24,7 +25,7 @@ MAGNITUDE_BITS = np.int32(0x7FFFFFFF)
 FASTMATH = {"contract"}
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _row(image, index, zeros):
     """Return a row, or zeros outside the image."""
     if 0 <= index < image.shape[0]:
@@ -32,7 +33,7 @@ def _row(image, index, zeros):
     return zeros
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _filter_rows(out, image, index, taps, zeros):
     """Filter along the columns: write the weighted sum of the seven rows around `index`."""
     centre = _row(image, index, zeros)
@@ -49,7 +50,7 @@ def _filter_rows(out, image, index, taps, zeros):
         )
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _filter_cols(out, row, step, taps):
     """Filter along a row: `out[j]` is centred on `row[j + 3 * step]`."""
     left_3, left_2, left_1 = row, row[step:], row[2 * step :]
@@ -64,28 +65,28 @@ def _filter_cols(out, row, step, taps):
         )
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _add(out, row):
     for j in range(out.shape[0]):
         out[j] += row[j]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _take_even_pixels(out, row, n_channels):
     for pixel in range(out.shape[0] // n_channels):
         for channel in range(n_channels):
             out[pixel * n_channels + channel] = row[2 * pixel * n_channels + channel]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _put_even_pixels(out, row, n_channels):
     for pixel in range(row.shape[0] // n_channels):
         for channel in range(n_channels):
             out[2 * pixel * n_channels + channel] = row[pixel * n_channels + channel]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def filter_down(fine, coarse, taps, pad, n_channels, scratch):
+@kernel(fastmath=FASTMATH)
+def filter_down(begin, end, fine, coarse, taps, pad, n_channels, scratch):
     """Filter an image with a separable filter and keep every second pixel: coarse pixel k lies on fine pixel 2 k - pad.
 
     Parameters
@@ -106,7 +107,7 @@ def filter_down(fine, coarse, taps, pad, n_channels, scratch):
     n_bands = scratch.shape[0]
     n_fine = fine.shape[1]
     lead = (pad + FILTER_RADIUS) * n_channels
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         zeros, row, filtered = scratch[band, 0, :n_fine], scratch[band, 1], scratch[band, 2]
         row[:] = 0
         for k in range(band * coarse.shape[0] // n_bands, (band + 1) * coarse.shape[0] // n_bands):
@@ -115,7 +116,7 @@ def filter_down(fine, coarse, taps, pad, n_channels, scratch):
             _take_even_pixels(coarse[k], filtered, n_channels)
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _stretch_rows(out, coarse, position, taps, zeros):
     """Interpolate along the columns at a fine row: only every second of the seven taps meets a coarse row."""
     first = (position - FILTER_RADIUS + 1) // 2
@@ -130,8 +131,8 @@ def _stretch_rows(out, coarse, position, taps, zeros):
         out[j] = tap_0 * row_0[j] + tap_1 * row_1[j] + tap_2 * row_2[j] + tap_3 * row_3[j]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def filter_up(coarse, source, fine, taps, source_taps, pad, n_channels, scratch):
+@kernel(fastmath=FASTMATH)
+def filter_up(begin, end, coarse, source, fine, taps, source_taps, pad, n_channels, scratch):
     """Interpolate the coarser level's answer with a separable filter and add this level's filtered source.
 
     Parameters
@@ -154,7 +155,7 @@ def filter_up(coarse, source, fine, taps, source_taps, pad, n_channels, scratch)
     n_bands = scratch.shape[0]
     height, n_fine = fine.shape
     lead = FILTER_RADIUS * n_channels
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         zeros, stretched, spread = scratch[band, 0], scratch[band, 1, : coarse.shape[1]], scratch[band, 2]
         row, filtered = scratch[band, 3], scratch[band, 4, :n_fine]
         spread[:] = 0
@@ -168,13 +169,13 @@ def filter_up(coarse, source, fine, taps, source_taps, pad, n_channels, scratch)
             _add(fine[i], filtered)
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def filter_level(source, out, taps, n_channels, scratch):
+@kernel(fastmath=FASTMATH)
+def filter_level(begin, end, source, out, taps, n_channels, scratch):
     """Filter the coarsest level's source: with no level below it, that is its answer. Arguments as in `filter_up`."""
     n_bands = scratch.shape[0]
     height, width = source.shape
     lead = FILTER_RADIUS * n_channels
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         zeros, row = scratch[band, 0], scratch[band, 1]
         row[:] = 0
         for i in range(band * height // n_bands, (band + 1) * height // n_bands):
@@ -182,7 +183,7 @@ def filter_level(source, out, taps, n_channels, scratch):
             _filter_cols(out[i], row, n_channels, taps[1])
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _mirrored(index, count):
     """Odd reflection about the zero pixels just outside: an index inside the array, and the sign of its value."""
     if index < 0:
@@ -192,7 +193,7 @@ def _mirrored(index, count):
     return index, np.float32(1)
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _largest_magnitude(row):
     """Bits of the largest magnitude in a row: as integers they order like the numbers, with infinity and NaN on top."""
     bits = row.view(np.int32)
@@ -202,7 +203,7 @@ def _largest_magnitude(row):
     return largest
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _sum_pixels(sums, row, n_channels, scratch):
     """Sum a row over its pixels, by folding it in half until one pixel is left."""
     remaining = row.shape[0] // n_channels
@@ -214,10 +215,12 @@ def _sum_pixels(sums, row, n_channels, scratch):
         for j in range(half * n_channels):
             scratch[j] += upper[j]
         remaining -= half
-    sums[:] = scratch[:n_channels]
+    # One by one: the message about slices of unlike lengths would take longer to compile than all else.
+    for channel in range(n_channels):
+        sums[channel] = scratch[channel]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _split_pixels(even, odd, row, n_channels):
     """Part a row of 2 n + 1 pixels into its n + 1 even and n odd ones; four channels move as one vector."""
     n_odd = odd.shape[0] // n_channels
@@ -237,7 +240,7 @@ def _split_pixels(even, odd, row, n_channels):
         even[n_odd * n_channels + channel] = row[2 * n_odd * n_channels + channel]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _join_pixels(row, even, odd, n_channels):
     """Inverse of `_split_pixels`."""
     n_odd = odd.shape[0] // n_channels
@@ -257,7 +260,7 @@ def _join_pixels(row, even, odd, n_channels):
         row[2 * n_odd * n_channels + channel] = even[n_odd * n_channels + channel]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _copy_row(out, row):
     """Copy a row that may be shorter than its target; the rest becomes zero."""
     for j in range(row.shape[0]):
@@ -266,7 +269,7 @@ def _copy_row(out, row):
         out[j] = 0
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _residual_row(out, above, row, below, source, step):
     """Write `source - Lap u` of a row; the source may be shorter than the row.
 
@@ -289,7 +292,7 @@ def _residual_row(out, above, row, below, source, step):
         out[j] += source[j]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _coarsen_rows(out, rows, first, height, taps):
     """Filter along the columns: the seven rows from `first` on, out of a ring of eight."""
     w_0, w_1 = taps[3] * _mirrored(first, height)[1], taps[2] * _mirrored(first + 1, height)[1]
@@ -304,7 +307,7 @@ def _coarsen_rows(out, rows, first, height, taps):
         )
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _coarsen_cols(out, row, taps, n_channels, even, odd):
     """Filter along a row and keep its odd pixels."""
     count = out.shape[0]
@@ -326,8 +329,8 @@ def _coarsen_cols(out, row, taps, n_channels, even, odd):
         )
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
+@kernel(fastmath=FASTMATH)
+def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, scratch):
     """Filter `source - Lap image` and keep its odd pixels: coarse pixel k lies on fine pixel 2 k + 1.
 
     Parameters
@@ -351,13 +354,13 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
     """
     n_bands = scratch.shape[0]
     height, count = 2 * coarse.shape[0] + 1, 2 * coarse.shape[1] + n_channels
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         even, odd, spare = scratch[band, 0], scratch[band, 1], scratch[band, 2, :count]
         zeros, rows = scratch[band, 3, :count], scratch[band, 4:12]
         zeros[:] = 0
-        begin, end = band * coarse.shape[0] // n_bands, (band + 1) * coarse.shape[0] // n_bands
-        position = 2 * begin - 2
-        for k in range(begin, end):
+        first, last = band * coarse.shape[0] // n_bands, (band + 1) * coarse.shape[0] // n_bands
+        position = 2 * first - 2
+        for k in range(first, last):
             while position <= 2 * k + 4:
                 i = _mirrored(position, height)[0]
                 row = rows[position % 8][:count]
@@ -368,7 +371,7 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
                     above, below = _row(image, i - 1, zeros), _row(image, i + 1, zeros)
                     _residual_row(row, above, image[i], below, own, n_channels)
                 # Bands share rows at their borders; each row is measured where it is owned.
-                if position < sums.shape[0] and begin <= min(position // 2, coarse.shape[0] - 1) < end:
+                if position < sums.shape[0] and first <= min(position // 2, coarse.shape[0] - 1) < last:
                     _sum_pixels(sums[position], row, n_channels, spare)
                     largest[position] = _largest_magnitude(row)
                 position += 1
@@ -376,7 +379,7 @@ def coarsen(source, image, coarse, taps, n_channels, sums, largest, scratch):
             _coarsen_cols(coarse[k], spare, taps, n_channels, even, odd)
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _stretch_cols(out, coarse, taps, n_channels, scratch):
     """Interpolate a coarse row of n pixels to 2 n + 1 pixels."""
     count = coarse.shape[0]
@@ -397,7 +400,7 @@ def _stretch_cols(out, coarse, taps, n_channels, scratch):
     _join_pixels(out, even, odd, n_channels)
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _blend_rows(out, rows, position, n_coarse, taps):
     """Interpolate along the columns at a fine row, from a ring of four stretched coarse rows."""
     if position % 2 == 0:
@@ -413,7 +416,7 @@ def _blend_rows(out, rows, position, n_coarse, taps):
         out[j] = w_0 * r_0[j] + w_1 * r_1[j] + w_2 * r_2[j] + w_3 * r_3[j]
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
     """One Jacobi step on a row: `out = row + weight * (Lap row - source)`.
 
@@ -442,7 +445,7 @@ def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
         target[j] = centre[j] + weight * (around - four * centre[j])
 
 
-@numba.njit(cache=True, fastmath=FASTMATH)
+@kernel(fastmath=FASTMATH)
 def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, scratch):
     """Do the work of `relax` on the block (first row, end row, first pixel, end pixel) of its output.
 
@@ -496,8 +499,8 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
     return largest
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def relax(coarse, image, source, out, taps, weights, n_channels, largest, scratch):
+@kernel(fastmath=FASTMATH)
+def relax(begin, end, coarse, image, source, out, taps, weights, n_channels, largest, scratch):
     """Interpolate a coarse correction, add it to an image, and relax with Jacobi steps, in one sweep over memory.
 
     Parameters
@@ -523,7 +526,7 @@ def relax(coarse, image, source, out, taps, weights, n_channels, largest, scratc
         `n >= (BLOCK_PIXELS + 2 * (n_steps + INTERPOLATION_REACH) + 8) * C`.
     """
     n_bands, n_pixels = scratch.shape[0], out.shape[1] // n_channels
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         first_row, end_row = band * out.shape[0] // n_bands, (band + 1) * out.shape[0] // n_bands
         largest[band] = 0
         for first_pixel in range(0, n_pixels, BLOCK_PIXELS):
@@ -532,8 +535,8 @@ def relax(coarse, image, source, out, taps, weights, n_channels, largest, scratc
             largest[band] = max(largest[band], found)
 
 
-@numba.njit(cache=True, parallel=True, fastmath=FASTMATH)
-def measure(image, n_channels, sums, largest, scratch):
+@kernel(fastmath=FASTMATH)
+def measure(begin, end, image, n_channels, sums, largest, scratch):
     """Sum each row over its pixels and find the largest magnitude.
 
     Parameters
@@ -550,7 +553,7 @@ def measure(image, n_channels, sums, largest, scratch):
         Row buffers; each band of rows is one parallel task.
     """
     n_bands = scratch.shape[0]
-    for band in numba.prange(n_bands):
+    for band in range(begin, end):
         for i in range(band * image.shape[0] // n_bands, (band + 1) * image.shape[0] // n_bands):
             largest[i] = _largest_magnitude(image[i])
             _sum_pixels(sums[i], image[i], n_channels, scratch[band, 0])

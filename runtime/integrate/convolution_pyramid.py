@@ -26,13 +26,13 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import for_blocks, limit_threads, thread_count
 from spreadlets.psf.laplacian import solve_dirichlet
 from spreadlets.runtime.integrate import _pyramid_kernels as kernels
 from spreadlets.runtime.options import DEFAULT_CYCLES, DEFAULT_INTEGRATOR, INTEGRATORS
@@ -173,7 +173,7 @@ def integrate(
     tolerance : float, optional
         Stop the cycles once the residual is below this, see `IntegrationReport`. Other methods take no notice.
     threads : int, optional
-        Number of threads, by default numba's. The image does not depend on it.
+        Largest number of threads, by default `spreadlets.parallel.thread_count`. The image does not depend on it.
     out : ndarray of shape (H, W, C), float32, optional
         C-contiguous array that receives the image.
 
@@ -225,15 +225,11 @@ class Integrator:
         source = _checked_source(laplacian_image)
         out = np.empty_like(source) if out is None else _checked_out(out, source)
         self._check_parameters()
-        before = numba.get_num_threads()
-        try:
-            threads = _use_threads(self.threads)
-            key = (self.method, source.shape, threads)
+        with limit_threads(self.threads):
+            key = (self.method, source.shape, thread_count())
             if self._solver is None or self._solver.key != key:
                 self._solver = _make_solver(key)
             self.report = self._solver.solve(source, out, self.cycles, self.tolerance)
-        finally:
-            numba.set_num_threads(before)
         _warn_of_net_source(self.report.net_source)
         return out
 
@@ -244,16 +240,6 @@ class Integrator:
             raise InvalidParameterError(f"cycles is {self.cycles}; give 0 or more")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InvalidParameterError(f"tolerance is {self.tolerance}; give a residual of 0 or more, or None")
-
-
-def _use_threads(threads: int | None) -> int:
-    """Set numba's number of threads; return it."""
-    if threads is not None:
-        try:
-            numba.set_num_threads(threads)
-        except (ValueError, TypeError) as error:
-            raise InvalidParameterError(f"threads is {threads!r}; {error}") from error
-    return int(numba.get_num_threads())
 
 
 def _checked_source(laplacian_image: NDArray[Any]) -> Image:
@@ -328,10 +314,8 @@ SolverKey = tuple[str, tuple[int, ...], int]
 
 
 def _bands_for(n_floats: int, threads: int) -> slice:
-    """Set the number of threads to what a level of some size deserves; return the bands of scratch for them."""
-    threads = threads if n_floats >= SERIAL_SIZE else 1
-    numba.set_num_threads(threads)
-    return slice(threads)
+    """Return the bands of scratch for a level of some size: one for each thread that it deserves."""
+    return slice(threads if n_floats >= SERIAL_SIZE else 1)
 
 
 class _Solver(Protocol):
@@ -364,7 +348,8 @@ class _Meter:
         return IntegrationReport(cycles=0, residual=None, net_source=_ratio(net, largest))
 
     def _measure(self, image: Image) -> float:
-        kernels.measure(_rows(image), image.shape[2], self.sums, self.largest, self.scratch)
+        arguments = _rows(image), image.shape[2], self.sums, self.largest, self.scratch
+        for_blocks(kernels.measure, len(self.scratch), *arguments)
         return _magnitude(self.largest)
 
 
@@ -430,14 +415,14 @@ class _PublishedSolver:
         sources, answers = [_rows(source), *self.sources], [_rows(out), *self.answers]
         for fine, coarse in zip(sources, sources[1:], strict=False):
             scratch = self.scratch[_bands_for(fine.size, self.key[2])]
-            kernels.filter_down(fine, coarse, self.down, pad, n_channels, scratch)
-        kernels.filter_level(
-            sources[-1], answers[-1], self.own if len(sources) > 1 else self.last_own, n_channels, self.scratch[:1]
-        )
+            for_blocks(kernels.filter_down, len(scratch), fine, coarse, self.down, pad, n_channels, scratch)
+        own = self.own if len(sources) > 1 else self.last_own
+        kernels.filter_level(0, 1, sources[-1], answers[-1], own, n_channels, self.scratch[:1])
         for level in reversed(range(len(sources) - 1)):
             scratch = self.scratch[_bands_for(answers[level].size, self.key[2])]
             up, own = (self.up, self.own) if level else (self.last_up, self.last_own)
-            kernels.filter_up(answers[level + 1], sources[level], answers[level], up, own, pad, n_channels, scratch)
+            images = answers[level + 1], sources[level], answers[level]
+            for_blocks(kernels.filter_up, len(scratch), *images, up, own, pad, n_channels, scratch)
         return self.meter.report(net, source, out)
 
 
@@ -517,7 +502,8 @@ class _LevelSolver:
         """Filter a level's remaining source down to the next; return its largest magnitude if that is measured."""
         coarse, taps, scratch = self.sources[level], self.down[min(level, 1)], self.coarsen_scratch[self._bands(level)]
         sums = self.sums[: None if measured else 0]
-        kernels.coarsen(source, image, coarse, taps, self.key[1][2], sums, self.largest, scratch)
+        images, n_channels = (source, image, coarse), self.key[1][2]
+        for_blocks(kernels.coarsen, len(scratch), *images, taps, n_channels, sums, self.largest, scratch)
         return _magnitude(self.largest)
 
     def _relax(self, level: int, image: Rows, source: Rows, out: Rows) -> float:
@@ -525,7 +511,8 @@ class _LevelSolver:
         kind, bands = min(level, 1), self._bands(level)
         taps, weights = self.up[kind], self.weights[kind]
         largest, scratch = self.band_largest[bands], self.relax_scratch[bands]
-        kernels.relax(self.answers[level], image, source, out, taps, weights, self.key[1][2], largest, scratch)
+        images, n_channels = (self.answers[level], image, source, out), self.key[1][2]
+        for_blocks(kernels.relax, len(scratch), *images, taps, weights, n_channels, largest, scratch)
         return _magnitude(largest)
 
     def _solve_coarser_levels(self) -> None:

@@ -2,13 +2,14 @@
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
     """Find the surfaces on either side of a pixel, and return the share of the nearer one: 0 if there are none."""
     share = 0.0
@@ -35,7 +36,7 @@ def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
     return share
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _find_gaps(above, here, below, step, found):
     """Tell for each pixel of a row whether the surfaces on two opposite sides of it may lie a gap apart.
 
@@ -58,8 +59,8 @@ def _find_gaps(above, here, below, step, found):
         found[col] = along | across | falling | rising
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
+@kernel
+def find_blends(begin, end, depth, radiance, scale, least_gap, flatness, near, far, share):
     """Find the pixels between two surfaces whose depth lies between them, as antialiasing leaves it.
 
     Along one of four lines through the pixel, the neighbours on either side lie on different surfaces, and each is as
@@ -87,14 +88,14 @@ def find_blends(depth, radiance, scale, least_gap, flatness, near, far, share):
         Number of blends.
     """
     height, width = depth.shape
+    found = np.empty(width, np.bool_)
     count = 0
     # A little less than the gap, so that rounding hides none.
     step = np.float32(0.999 * least_gap / scale) if scale > 0 else np.float32(np.inf)
-    for row in numba.prange(height):
+    for row in range(begin, end):
         share[row] = 0.0
         if not 2 <= row < height - 2:
             continue
-        found = np.empty(width, np.bool_)
         _find_gaps(depth[row - 1], depth[row], depth[row + 1], step, found)
         for col in range(2, width - 2):
             if not found[col]:

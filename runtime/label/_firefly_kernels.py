@@ -2,17 +2,18 @@
 
 import math
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 
-@numba.njit(cache=True, fastmath=False)
+
+@kernel
 def brightness(colour):
     """Return the mean of red, green and blue of a pixel (4,), float32."""
     return (colour[0] + colour[1] + colour[2]) * np.float32(1.0 / 3.0)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _cell(shift, row, col, shape):
     """Return the pixel, clamped to the frame, in which a sample lies once it is moved by its shift (dx, dy)."""
     if not shift.shape[0]:
@@ -25,7 +26,7 @@ def _cell(shift, row, col, shape):
     )
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def gather_brightest(radiance, shift, brightest):
     """Note the two brightest samples of each pixel.
 
@@ -49,8 +50,8 @@ def gather_brightest(radiance, shift, brightest):
                 brightest[i, j, 1] = level
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def clamp(radiance, shift, brightest, factor, floor):
+@kernel
+def clamp(begin, end, radiance, shift, brightest, factor, floor):
     """Dim each sample to ``factor`` times the brightest other one within a pixel of where it comes from, in place.
 
     Parameters
@@ -68,7 +69,7 @@ def clamp(radiance, shift, brightest, factor, floor):
     """
     height, width = brightest.shape[:2]
     count = 0
-    for row in numba.prange(radiance.shape[0]):
+    for row in range(begin, end):
         for col in range(radiance.shape[1]):
             level = brightness(radiance[row, col])
             if level <= factor * floor:

@@ -2,8 +2,9 @@
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 MOST_GROWTH = 2.0
 """Change of speed over a frame from which a motion no longer changes evenly."""
@@ -13,16 +14,16 @@ LEAST_CHANGE = 1e-3
 """Relative change of the velocity below which all paths are the same to single precision."""
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def coc_radii(depth, scale, inverse_focus, coc):
+@kernel
+def coc_radii(begin, end, depth, scale, inverse_focus, coc):
     """Fill ``coc`` (H, W), float32, with ``scale * (inverse_focus - 1 / depth)``: signed CoC radii, px."""
-    for row in numba.prange(depth.shape[0]):
+    for row in range(begin, end):
         for col in range(depth.shape[1]):
             coc[row, col] = scale * (inverse_focus - 1.0 / np.float64(depth[row, col]))
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def count_segments(before, after, time, tolerance, most, segments):
+@kernel
+def count_segments(begin, end, before, after, time, tolerance, most, segments):
     """Fill ``segments`` (H, W), int32, with the number, a power of 2, of chords that follow each path closely enough.
 
     Parameters
@@ -36,7 +37,7 @@ def count_segments(before, after, time, tolerance, most, segments):
     most : int
         Largest number.
     """
-    for row in numba.prange(before.shape[0]):
+    for row in range(begin, end):
         for col in range(before.shape[1]):
             x = np.float64(after[row, col, 0]) - np.float64(before[row, col, 0])
             y = np.float64(after[row, col, 1]) - np.float64(before[row, col, 1])
@@ -49,8 +50,8 @@ def count_segments(before, after, time, tolerance, most, segments):
             segments[row, col] = count
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def path_places(before, after, time, place):
+@kernel
+def path_places(begin, end, before, after, time, place):
     """Fill ``place`` (H, W, 2), float32, with where each path leads in a time, px from where it is at time 0.
 
     The path leads through the places one frame before and after. It is the one whose velocity turns and grows evenly,
@@ -65,7 +66,7 @@ def path_places(before, after, time, place):
     time : float
         Frames.
     """
-    for row in numba.prange(before.shape[0]):
+    for row in range(begin, end):
         for col in range(before.shape[1]):
             p = complex(before[row, col, 0], before[row, col, 1])
             n = complex(after[row, col, 0], after[row, col, 1])
@@ -80,10 +81,10 @@ def path_places(before, after, time, place):
             place[row, col, 0], place[row, col, 1] = z.real, z.imag
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def path_lengths(path, length):
+@kernel
+def path_lengths(begin, end, path, length):
     """Fill ``length`` (H, W), float32, with the lengths of the paths (H, W, 2), px."""
-    for row in numba.prange(path.shape[0]):
+    for row in range(begin, end):
         for col in range(path.shape[1]):
             x, y = np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
             length[row, col] = math.sqrt(x * x + y * y)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _edge_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
@@ -42,7 +43,8 @@ def split_depth_edges(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, I
     near, far = np.empty((2, height, width, 2), np.int32)
     share = np.empty((height, width), np.float32)
     scale = camera.coc_scale(width)
-    if not _edge_kernels.find_blends(layer.depth, layer.radiance, scale, LEAST_GAP, FLATNESS, near, far, share):
+    limits = scale, LEAST_GAP, FLATNESS
+    if not sum(for_bands(_edge_kernels.find_blends, height, layer.depth, layer.radiance, *limits, near, far, share)):
         yield layer, None
         return
     blends = np.nonzero(share)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _firefly_kernels
 
 NO_MOVE = np.zeros((0, 0, 2), np.float32)
@@ -46,7 +47,7 @@ def clamp_fireflies(samples: Sequence[tuple[Image, Image | None]], factor: float
     bright = levels[levels > 0]
     floor = np.float32(np.median(bright)) if len(bright) else np.float32(0.0)
     counts = [
-        _firefly_kernels.clamp(radiance, shift, brightest, np.float32(factor), floor)
+        sum(for_bands(_firefly_kernels.clamp, len(radiance), radiance, shift, brightest, np.float32(factor), floor))
         for radiance, shift in zip(colours, shifts, strict=True)
     ]
     return colours, sum(counts)

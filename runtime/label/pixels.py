@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.depth_edges import split_depth_edges
 from spreadlets.runtime.label.labels import Labels, View
@@ -63,9 +64,8 @@ def _along_paths(
         yield straight, None
         return
     segments = np.empty(layer.shape, np.int32)
-    _label_kernels.count_segments(
-        layer.motion_prev, layer.motion_next, camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS, segments
-    )
+    limits = camera.shutter_duration, CHORD_TOLERANCE, MOST_SEGMENTS
+    for_bands(_label_kernels.count_segments, len(segments), layer.motion_prev, layer.motion_next, *limits, segments)
     largest = int(segments.max())
     if largest == 1:
         yield straight, None
@@ -83,12 +83,13 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
     coc, length = np.zeros((2, height, width), np.float32)
     view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
     if defocus:
-        _label_kernels.coc_radii(layer.depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+        optics = camera.coc_scale(width), 1.0 / camera.focus_distance_m
+        for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, coc)
     if not motion or not layer.has_motion:
         return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
     path = layer.motion * np.float32(camera.shutter_duration)
-    _label_kernels.path_lengths(path, length)
+    for_bands(_label_kernels.path_lengths, len(length), path, length)
     return Labels(coc, path, length, shift, view)
 
 
@@ -96,11 +97,11 @@ def _chords(layer: Layer, camera: ThinLens, straight: Labels, count: int) -> Ite
     """Yield the labels of the chords between equal steps of the shutter's time."""
     places = np.empty((count + 1, *layer.motion.shape), np.float32)
     for time, place in zip(np.linspace(*camera.shutter, count + 1), places, strict=True):
-        _label_kernels.path_places(layer.motion_prev, layer.motion_next, time, place)
+        for_bands(_label_kernels.path_places, len(place), layer.motion_prev, layer.motion_next, time, place)
     for begin, end in zip(places[:-1], places[1:], strict=True):
         path = end - begin
         length = np.empty(layer.shape, np.float32)
-        _label_kernels.path_lengths(path, length)
+        for_bands(_label_kernels.path_lengths, len(length), path, length)
         yield straight._replace(path=path, length=length, shift=np.float32(0.5) * (begin + end))
 
 
@@ -127,11 +128,11 @@ def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labe
     length = np.empty((height, width), np.float32)
     if samples.coc_radius is None:
         coc = np.empty((height, width), np.float32)
-        _label_kernels.coc_radii(depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+        for_bands(_label_kernels.coc_radii, height, depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
     else:
         coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
     path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
-    _label_kernels.path_lengths(path, length)
+    for_bands(_label_kernels.path_lengths, len(length), path, length)
     since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
     shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
     shift -= samples.motion[:, :, number] * since_centre[..., None]

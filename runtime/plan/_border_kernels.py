@@ -1,10 +1,11 @@
 """Compiled kernels that continue a frame beyond its border."""
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 
-@numba.njit(cache=True, fastmath=False)
+
+@kernel
 def _median(values, n):
     """Return the median of the first n values, sorting them in place."""
     for i in range(1, n):
@@ -17,7 +18,7 @@ def _median(values, n):
     return np.float32(0.5) * (values[(n - 1) // 2] + values[n // 2])
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
+@kernel
 def border_colours(strip, half, colour):
     """Take the median of a strip across the border, then along it.
 
@@ -32,21 +33,20 @@ def border_colours(strip, half, colour):
     """
     n, width = strip.shape[:2]
     across = np.empty((width, 4), np.float32)
-    for col in numba.prange(width):
-        values = np.empty(n, np.float32)
+    values = np.empty(max(n, 2 * half + 1), np.float32)
+    for col in range(width):
         for c in range(4):
             for i in range(n):
                 values[i] = strip[i, col, c]
             across[col, c] = _median(values, n)
-    for col in numba.prange(width):
-        values = np.empty(2 * half + 1, np.float32)
+    for col in range(width):
         for c in range(4):
             for i in range(2 * half + 1):
                 values[i] = across[min(max(col + i - half, 0), width - 1), c]
             colour[col, c] = _median(values, 2 * half + 1)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def colour_beyond(colours, down, right, row, col):
     """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
     above, below, before, behind = colours
@@ -57,8 +57,8 @@ def colour_beyond(colours, down, right, row, col):
     return before[row] if right < col else behind[row]
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def extend_frame(frame, colours, reach, origin, extended):
+@kernel
+def extend_frame(begin, end, frame, colours, reach, origin, extended):
     """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
 
     Parameters
@@ -76,10 +76,9 @@ def extend_frame(frame, colours, reach, origin, extended):
         they were.
     """
     radiance, share, label = frame
-    above, below, before, behind = colours
     out_radiance, out_label = extended
     height, width = label.shape
-    for i in numba.prange(out_label.shape[0]):
+    for i in range(begin, end):
         down = origin[0] + i
         row = min(max(down, 0), height - 1)
         for j in range(out_label.shape[1]):
@@ -96,7 +95,7 @@ def extend_frame(frame, colours, reach, origin, extended):
                 for c in range(4):
                     out_radiance[i, j, c] = weight * radiance[row, col, c]
                 continue
-            colour = colour_beyond((above, below, before, behind), down, right, row, col)
+            colour = colour_beyond(colours, down, right, row, col)
             dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
             out_label[i, j] = -1 if dark else index
             for c in range(4):

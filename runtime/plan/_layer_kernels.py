@@ -2,15 +2,15 @@
 
 import math
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def nearness_range(depth, label):
-    """Return the least and the largest ``-1 / depth`` of each row's drawn pixels, shape (H, 2), float64."""
-    bounds = np.empty((depth.shape[0], 2), np.float64)
-    for row in numba.prange(depth.shape[0]):
+
+@kernel
+def nearness_range(begin, end, depth, label, bounds):
+    """Fill ``bounds`` (H, 2), float64, with the least and the largest ``-1 / depth`` of each row's drawn pixels."""
+    for row in range(begin, end):
         low, high = math.inf, -math.inf
         for col in range(depth.shape[1]):
             if label[row, col] >= 0:
@@ -18,11 +18,10 @@ def nearness_range(depth, label):
                 low, high = min(low, nearness), max(high, nearness)
         bounds[row, 0] = low
         bounds[row, 1] = high
-    return bounds
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def assign_layers(depth, first, scale, n_layers, softness, layer, farther):
+@kernel
+def assign_layers(begin, end, depth, first, scale, n_layers, softness, layer, farther):
     """Find the layer of each pixel, and which share of it belongs to the next one.
 
     Parameters
@@ -39,7 +38,7 @@ def assign_layers(depth, first, scale, n_layers, softness, layer, farther):
     farther : ndarray of shape (H, W), float32
         Filled: the share in ``layer + 1``.
     """
-    for row in numba.prange(depth.shape[0]):
+    for row in range(begin, end):
         for col in range(depth.shape[1]):
             place = (-1.0 / np.float64(depth[row, col]) - first) * scale
             place = min(max(place, 0.0), np.float64(n_layers))
@@ -55,8 +54,8 @@ def assign_layers(depth, first, scale, n_layers, softness, layer, farther):
                 farther[row, col] = 0.0
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def layer_labels(variant, layer, farther, weight, n_variants, part, label, share):
+@kernel
+def layer_labels(begin, end, variant, layer, farther, weight, n_variants, part, label, share):
     """Combine variants and layers to labels ``layer * n_variants + variant``, and weights with shares.
 
     Parameters
@@ -79,7 +78,7 @@ def layer_labels(variant, layer, farther, weight, n_variants, part, label, share
         Number of pixels that have the part.
     """
     count = 0
-    for row in numba.prange(variant.shape[0]):
+    for row in range(begin, end):
         for col in range(variant.shape[1]):
             each = farther[row, col] if part else np.float32(1.0) - farther[row, col]
             if weight.shape[0]:

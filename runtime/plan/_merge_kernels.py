@@ -1,14 +1,15 @@
 """Compiled kernel of the level of detail: which blocks of four can be drawn as one."""
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 LINEAR_END = np.float32(0.0031308)
 LINEAR_SLOPE = np.float32(12.92)
 """The linear part of the sRGB curve: where it ends, and how steep it is."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _display_slope(level):
     """Return the slope of the sRGB curve at a linear level; beyond 1, where the display clips, that at 1."""
     if level <= LINEAR_END:
@@ -16,8 +17,8 @@ def _display_slope(level):
     return np.float32(1.055 / 2.4) * min(level, np.float32(1.0)) ** np.float32(1.0 / 2.4 - 1.0)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def merge_blocks(radiance, label, factor, tolerance, merged, merged_label, worst):
+@kernel
+def merge_blocks(begin, end, radiance, label, factor, tolerance, merged, merged_label, worst):
     """Merge blocks of 2 x 2 pixels of one label whose deviation from their mean stays below the tolerance.
 
     Parameters
@@ -38,7 +39,7 @@ def merge_blocks(radiance, label, factor, tolerance, merged, merged_label, worst
         Filled with the largest change that a merged block of the row may cause.
     """
     quarter = np.float32(0.25)
-    for row in numba.prange(merged.shape[0]):
+    for row in range(begin, end):
         for col in range(merged.shape[1]):
             index = label[2 * row, 2 * col]
             merged_label[row, col] = -1

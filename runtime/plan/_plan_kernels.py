@@ -2,9 +2,9 @@
 
 import math
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 
 INVISIBLE = -1
@@ -12,7 +12,7 @@ SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _scale_step(excess, steps_per_octave, n_scales):
     """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
     if not excess > 1.0:
@@ -22,7 +22,7 @@ def _scale_step(excess, steps_per_octave, n_scales):
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _same(coordinate, heading, coc, row, col):
     """Tell whether a pixel has the labels of the one to its left."""
     same = coc[row, col] == coc[row, col - 1]
@@ -33,8 +33,8 @@ def _same(coordinate, heading, coc, row, col):
     )
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
+@kernel
+def variant_keys(begin, end, colour, coordinate, pose, grid, scales, key, excess):
     """Map the labels of each pixel to the key of its variant.
 
     Parameters
@@ -63,7 +63,7 @@ def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
     heading, coc, (arrow, lattice, sign) = pose
     n_axes = len(remap)
     n_spreadlets = cell_start[-1]
-    for row in numba.prange(radiance.shape[0]):
+    for row in range(begin, end):
         excess[row] = 0.0
         for col in range(radiance.shape[1]):
             r, g, b, a = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2], radiance[row, col, 3]
@@ -106,17 +106,17 @@ def variant_keys(colour, coordinate, pose, grid, scales, key, excess):
             key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + number) + orientation
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def mark_keys(key, place):
+@kernel
+def mark_keys(begin, end, key, place):
     """Set ``place`` (n_keys,), int32, to 0 for each key in use."""
     # Threads may write the same place, but nothing else than 0.
-    for row in numba.prange(key.shape[0]):
+    for row in range(begin, end):
         for col in range(key.shape[1]):
             if key[row, col] >= 0:
                 place[key[row, col]] = 0
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def number_keys(place):
     """Replace the marks in ``place`` by ascending numbers, in place; return the marked keys, int64."""
     count = 0
@@ -132,18 +132,18 @@ def number_keys(place):
     return used
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def replace_keys(key, place, label):
+@kernel
+def replace_keys(begin, end, key, place, label):
     """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible; count the latter."""
     invisible = 0
-    for row in numba.prange(key.shape[0]):
+    for row in range(begin, end):
         for col in range(key.shape[1]):
             label[row, col] = place[key[row, col]] if key[row, col] >= 0 else -1
             invisible += key[row, col] < 0
     return invisible
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def count_labels(label, n_variants):
     """Count the pixels of each variant, shape (n_variants,), int64."""
     count = np.zeros(n_variants, np.int64)
@@ -154,7 +154,7 @@ def count_labels(label, n_variants):
     return count
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def turned_points(offset_rc, transpose, flip_row, flip_col):
     """Apply a lattice symmetry to offsets (n, 2), int16, and sort them by row.
 

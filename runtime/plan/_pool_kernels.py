@@ -1,8 +1,8 @@
 """Compiled kernels that sort the splats of stochastic samples by place and PSF, and add up those that agree."""
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 from spreadlets.runtime.plan._border_kernels import colour_beyond
 
 STEP_BITS = 4
@@ -10,8 +10,8 @@ STEPS_PER_PIXEL = 1 << STEP_BITS
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def place_steps(shift, label, wide, steps):
+@kernel
+def place_steps(begin, end, shift, label, wide, steps):
     """Fill ``steps`` (H, W, 2), int32, with the displacement (row, col) of each splat's centre, in 1/16 px.
 
     Parameters
@@ -23,7 +23,7 @@ def place_steps(shift, label, wide, steps):
     wide : ndarray of shape (n_variants,), bool
         Variants whose centres are moved to the next pixel.
     """
-    for row in numba.prange(label.shape[0]):
+    for row in range(begin, end):
         for col in range(label.shape[1]):
             index = label[row, col]
             whole = index >= 0 and wide[index % len(wide)]
@@ -33,8 +33,8 @@ def place_steps(shift, label, wide, steps):
                 steps[row, col, axis] = np.int32(step)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def list_splats(pixels, colours, padding, reach, first_row, at, splats):
+@kernel
+def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, splats):
     """Count the splats of labelled pixels in each row of the image, or list them.
 
     A splat whose centre lies between pixels becomes up to four. Pixels beyond the frame's border are drawn with the
@@ -60,15 +60,12 @@ def list_splats(pixels, colours, padding, reach, first_row, at, splats):
     """
     radiance, weight, label, steps = pixels
     top, bottom, left, right = padding
-    # Tuples of arrays cannot enter a parallel loop whole.
-    above, below, before, behind = colours
     out_label, out_col, out_radiance = splats
     filling = len(out_label) > 0
     height, width = label.shape
     rows, cols = top + height + bottom, left + width + right
     n_chunks = len(at)
-    for chunk in numba.prange(n_chunks):
-        beyond = above, below, before, behind
+    for chunk in range(begin, end):
         for i in range(chunk * rows // n_chunks, (chunk + 1) * rows // n_chunks):
             down = i - top
             row = min(max(down, 0), height - 1)
@@ -80,7 +77,7 @@ def list_splats(pixels, colours, padding, reach, first_row, at, splats):
                     continue
                 colour = radiance[row, col]
                 if down != row or across != col:
-                    colour = colour_beyond(beyond, down, across, row, col)
+                    colour = colour_beyond(colours, down, across, row, col)
                 if colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0:
                     continue
                 far = reach[index % len(reach)]
@@ -103,7 +100,7 @@ def list_splats(pixels, colours, padding, reach, first_row, at, splats):
                                 out_radiance[place, c] = part * colour[c]
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _counting_sort(values, order, count, result):
     """Sort ``order`` by ``values[order]``, equal ones as they were, into ``result``; ``count`` has room for all values.
 
@@ -120,8 +117,8 @@ def _counting_sort(values, order, count, result):
     count[:] = 0
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def sort_rows(label, col, row_start, n_labels, order, n_places):
+@kernel
+def sort_rows(begin, end, label, col, row_start, n_labels, n_cols, order, n_places):
     """Sort the splats of each row by label, then by column; count the different ones.
 
     Parameters
@@ -130,30 +127,27 @@ def sort_rows(label, col, row_start, n_labels, order, n_places):
         Columns may not be negative.
     row_start : ndarray of shape (n_rows + 1,), int64
         The splats of each row.
-    n_labels : int
+    n_labels, n_cols : int
+        One more than the largest of each.
     order : ndarray of shape (n,), int64
         Filled.
     n_places : ndarray of shape (n_rows,), int64
         Filled with the number of different (label, column) in each row.
     """
-    n_rows = len(n_places)
-    n_cols = col.max() + 1
-    n_bands = min(n_rows, 64)
-    for band in numba.prange(n_bands):
-        of_label, of_col = np.zeros(n_labels + 1, np.int64), np.zeros(n_cols + 1, np.int64)
-        for row in range(band * n_rows // n_bands, (band + 1) * n_rows // n_bands):
-            begin, end = row_start[row], row_start[row + 1]
-            by_col = np.empty(end - begin, np.int64)
-            _counting_sort(col, np.arange(begin, end), of_col, by_col)
-            _counting_sort(label, by_col, of_label, order[begin:end])
-            n_places[row] = 0
-            for k in range(begin, end):
-                i, j = order[k], order[k - 1]
-                n_places[row] += k == begin or label[i] != label[j] or col[i] != col[j]
+    of_label, of_col = np.zeros(n_labels + 1, np.int64), np.zeros(n_cols + 1, np.int64)
+    for row in range(begin, end):
+        first, last = row_start[row], row_start[row + 1]
+        by_col = np.empty(last - first, np.int64)
+        _counting_sort(col, np.arange(first, last), of_col, by_col)
+        _counting_sort(label, by_col, of_label, order[first:last])
+        n_places[row] = 0
+        for k in range(first, last):
+            i, j = order[k], order[k - 1]
+            n_places[row] += k == first or label[i] != label[j] or col[i] != col[j]
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def add_up(splats, order, row_start, place_start, first, pooled):
+@kernel
+def add_up(begin, end, splats, order, row_start, place_start, first, pooled):
     """Add up the splats of each row that have label and column in common.
 
     Parameters
@@ -172,7 +166,7 @@ def add_up(splats, order, row_start, place_start, first, pooled):
     """
     label, col, radiance = splats
     out_radiance, out_label, out_shift = pooled
-    for row in numba.prange(len(row_start) - 1):
+    for row in range(begin, end):
         place = place_start[row] - 1
         for k in range(row_start[row], row_start[row + 1]):
             i, j = order[k], order[k - 1]

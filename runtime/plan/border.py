@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.plan import _border_kernels
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
@@ -51,7 +52,9 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
     nothing = np.zeros((0, 4), np.float32)
-    _border_kernels.extend_frame(
+    for_bands(
+        _border_kernels.extend_frame,
+        shape[0],
         (frame.radiance, share, frame.label),
         colours or (nothing, nothing, nothing, nothing),
         reach,

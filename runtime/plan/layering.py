@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.options import DEFAULT_SOFTNESS
 from spreadlets.runtime.plan import _layer_kernels
@@ -60,10 +61,10 @@ class Layering:
         """Divide the range of depths of some passes, each with labels and variants, into layers."""
         if n_layers == 1:
             return cls(1)
-        bounds = np.concatenate(
-            [_layer_kernels.nearness_range(labels.view.depth, variant) for labels, variant in passes]
-        )
-        low, high = float(bounds[:, 0].min()), float(bounds[:, 1].max())
+        bounds = [np.empty((len(variant), 2), np.float64) for _, variant in passes]
+        for (labels, variant), found in zip(passes, bounds, strict=True):
+            for_bands(_layer_kernels.nearness_range, len(found), labels.view.depth, variant, found)
+        low, high = min(float(each[:, 0].min()) for each in bounds), max(float(each[:, 1].max()) for each in bounds)
         if not high > low:
             return cls(1)
         inner = _inner_range(passes)
@@ -76,9 +77,8 @@ class Layering:
         layer = np.zeros(variant.shape, np.int32)
         farther = np.zeros(variant.shape, np.float32)
         if self.n_layers > 1:
-            _layer_kernels.assign_layers(
-                labels.view.depth, self.first, self.scale, self.n_layers, self.softness, layer, farther
-            )
+            division = self.first, self.scale, self.n_layers, self.softness
+            for_bands(_layer_kernels.assign_layers, len(layer), labels.view.depth, *division, layer, farther)
         return Membership(variant, layer, farther)
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _merge_kernels
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
@@ -55,7 +56,8 @@ def merge_blocks(
         label = np.empty((height, width), np.int32)
         worst = np.zeros(height, np.float32)
         factor = (variation * np.float32((stride - 1) / 4)).astype(np.float32)
-        _merge_kernels.merge_blocks(finer.radiance, finer.label, factor, share, radiance, label, worst)
+        limits = factor, share
+        for_bands(_merge_kernels.merge_blocks, height, finer.radiance, finer.label, *limits, radiance, label, worst)
         bound += float(worst.max())
         levels.append(SplatPass(frame.origin, radiance, label, NO_SHIFT, stride))
     return levels, bound

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
@@ -157,7 +158,9 @@ def plan_pixels(
     drawn = _mark_highlights(passes, keys, database.n_spreadlets)
     used, place = _used_keys(drawn)
     indices = [np.empty(key.shape, np.int32) for key in drawn]
-    skipped = sum(int(_plan_kernels.replace_keys(key, place, index)) for key, index in zip(drawn, indices, strict=True))
+    skipped = 0
+    for key, index in zip(drawn, indices, strict=True):
+        skipped += sum(for_bands(_plan_kernels.replace_keys, len(key), key, place, index))
     _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
     variants = [_decode(int(each), database.cell_start) for each in used]
     points = list(variant_points(variants, database, dense_psf))
@@ -199,7 +202,8 @@ def _variant_keys(
     scales = SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, SHARP_EXTENT if scaling.all() else NEVER_SHARP
     pose = np.ascontiguousarray(DIRECTIONS[model.symmetry.angle](labels)), labels.coc, model.symmetry.codes
     tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start
-    _plan_kernels.variant_keys((pixels.radiance, pixels.weight), coordinate, pose, tables, scales, key, excess)
+    colour = pixels.radiance, pixels.weight
+    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, tables, scales, key, excess)
     return key, excess
 
 
@@ -252,7 +256,7 @@ def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.in
     """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
     place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
     for key in keys:
-        _plan_kernels.mark_keys(key, place)
+        for_bands(_plan_kernels.mark_keys, len(key), key, place)
     return _plan_kernels.number_keys(place), place
 
 
@@ -341,7 +345,8 @@ def _parts(
     for part in (0, 1):
         label = np.empty(members.variant.shape, np.int32)
         share = np.empty(members.variant.shape, np.float32)
-        if _layer_kernels.layer_labels(*members, pixels.weight, n_variants, part, label, share):
+        place = n_variants, part
+        if sum(for_bands(_layer_kernels.layer_labels, len(label), *members, pixels.weight, *place, label, share)):
             yield label, share
 
 

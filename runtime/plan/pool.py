@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands, for_blocks
 from spreadlets.runtime.plan import _pool_kernels
 from spreadlets.runtime.plan.border import Colours
 from spreadlets.runtime.splat.passes import SplatPass
@@ -69,7 +70,7 @@ def place_pixels(
         Variants whose centres are moved to the next pixel.
     """
     steps = np.empty(shift.shape, np.int32)
-    _pool_kernels.place_steps(shift, label, wide, steps)
+    for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, steps)
     return PlacedPixels(radiance, weight if len(weight) else np.ones(label.shape, np.float32), label, steps, colours)
 
 
@@ -114,7 +115,7 @@ def _list(
     none = np.zeros((width, 4), np.float32), np.zeros((height, 4), np.float32)
     colours = (none[0], none[0], none[1], none[1]) if pixels.colours is None else pixels.colours
     padding = (0, 0, 0, 0) if pixels.colours is None else _padding(pixels, reaches)
-    _pool_kernels.list_splats(tuple(pixels[:4]), colours, padding, reaches, -far, at, splats)
+    for_blocks(_pool_kernels.list_splats, len(at), tuple(pixels[:4]), colours, padding, reaches, -far, at, splats)
 
 
 def _padding(pixels: PlacedPixels, reaches: npt.NDArray[np.int64]) -> tuple[int, ...]:
@@ -149,10 +150,11 @@ def _pooled(
     first_col = int(col.min())
     col -= first_col
     order, n_places = np.empty(total, np.int64), np.empty(n_rows, np.int64)
-    _pool_kernels.sort_rows(label, col, row_start, n_layers * len(reaches), order, n_places)
+    sizes = n_layers * len(reaches), int(col.max()) + 1
+    for_bands(_pool_kernels.sort_rows, n_rows, label, col, row_start, *sizes, order, n_places)
     place_start = np.concatenate([[0], np.cumsum(n_places)])
     m = int(place_start[-1])
     radiance, labels, shift = np.empty((m, 4), np.float32), np.empty(m, np.int32), np.empty((m, 2), np.int32)
     pooled = radiance, labels, shift
-    _pool_kernels.add_up(splats, order, row_start, place_start, (-far, first_col), pooled)
+    for_bands(_pool_kernels.add_up, n_rows, splats, order, row_start, place_start, (-far, first_col), pooled)
     return SplatPass((0, 0), radiance[None], labels[None], shift[None])

@@ -14,9 +14,9 @@ four lookups that are two along x of two along y.
 
 import math
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 from spreadlets.runtime.sheared._tile_kernels import N_SUMS, composite, gaussian, share_out
 
 ROTATED, SHEARED, EWA, ROUND_ROTATED, ROUND_SHEARED, ROUND_EWA = range(6)
@@ -40,10 +40,8 @@ ROWS_AT_A_TIME = 16
 ROUND = 1e-3
 """Relative difference of the axes below which a Gaussian is taken as round."""
 
-Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
-
-@Kernel
+@kernel
 def rotated_axes(sxx, sxy, syy):
     """Return the standard deviations along the longer and the shorter axis, and cosine and sine of the longer one."""
     mean, half = 0.5 * (sxx + syy), math.hypot(0.5 * (sxx - syy), sxy)
@@ -54,31 +52,31 @@ def rotated_axes(sxx, sxy, syy):
     return longer, shorter, math.cos(angle), math.sin(angle)
 
 
-@Kernel
+@kernel
 def sheared_axes(sxx, sxy, syy):
     """Return the standard deviations along x and along the sheared axis (beta, 1), and beta (LRDM Eqs. 5 to 9)."""
     return math.sqrt(max(sxx - sxy * sxy / syy, 0.0)), math.sqrt(syy), sxy / syy
 
 
-@Kernel
+@kernel
 def shear_margin(sigma_y, beta):
     """Return how far a filter along the sheared axis reaches along x, px."""
     return int(math.ceil(abs(beta) * radius_of(sigma_y))) + 1
 
 
-@Kernel
+@kernel
 def recursion(sigma):
     """Return gamma of the recursive filter (LRDM Eq. 10)."""
     return math.exp(-math.sqrt(2.0) / sigma) if sigma > 0.0 else 0.0
 
 
-@Kernel
+@kernel
 def radius_of(sigma):
     """Return the radius of a 1D filter, px: that of `gaussian`."""
     return min(REACH, int(math.ceil(3.0 * sigma)))
 
 
-@Kernel
+@kernel
 def footprint_of(sxx, sxy, syy):
     """Return number and spacing of the lookups, both levels' weights and the taps of a footprint (LRDM Eqs. 2 to 4).
 
@@ -106,7 +104,7 @@ def footprint_of(sxx, sxy, syy):
     return longer, shorter, cosine, sine, probes, n_taps, level
 
 
-@Kernel
+@kernel
 def taps_of(longer, shorter, n_taps):
     """Return how far the taps of a footprint are from its lookups, along and across it, px."""
     if n_taps == 1:
@@ -115,7 +113,7 @@ def taps_of(longer, shorter, n_taps):
     return share * longer, share * shorter
 
 
-@Kernel
+@kernel
 def ring_of(way, sxx, sxy, syy):
     """Return the width of the ring that a screen filter reaches, (x, y) px, and the side of the sums' texels, px."""
     if way == ROUND_ROTATED:
@@ -140,7 +138,7 @@ def ring_of(way, sxx, sxy, syy):
     return coarse * int(math.ceil(x)), coarse * int(math.ceil(y)), fine
 
 
-@Kernel
+@kernel
 def ring_of_layers(way, filters, column, rings):
     """Fill ``rings`` (L, 3), int32, with rings and texels of filters whose covariance is in three columns."""
     for layer in range(filters.shape[0]):
@@ -148,13 +146,13 @@ def ring_of_layers(way, filters, column, rings):
         rings[layer, 0], rings[layer, 1], rings[layer, 2] = ring_of(way, covariance[0], covariance[1], covariance[2])
 
 
-@Kernel
+@kernel
 def covariance_in(numbers, column):
     """Return xx, xy and yy of a filter (F,), from a column on."""
     return np.float64(numbers[column]), np.float64(numbers[column + 1]), np.float64(numbers[column + 2])
 
 
-@Kernel
+@kernel
 def along_direction(source, weights, step_x, step_y, top, left, target):
     """Filter along a direction, with bilinear interpolation at every tap.
 
@@ -198,7 +196,7 @@ def along_direction(source, weights, step_x, step_y, top, left, target):
                 out[i] += w00 * p00[i] + w01 * p01[i] + w10 * p10[i] + w11 * p11[i]
 
 
-@Kernel
+@kernel
 def along_line(source, begin, stride, weights, target):
     """Filter along an axis of the image, with symmetric weights.
 
@@ -232,7 +230,7 @@ def along_line(source, begin, stride, weights, target):
         k += 2
 
 
-@Kernel
+@kernel
 def recursive_rows(source, gamma, begin, end, target):
     """Filter rows (h, w, N_SUMS) forth and back with ``out[i] = (1 - gamma) in[i] + gamma out[i -+ 1]`` (LRDM Eq. 10).
 
@@ -265,14 +263,14 @@ def recursive_rows(source, gamma, begin, end, target):
                     target[top + row, col - begin, channel] = columns[col, row * N_SUMS + channel]
 
 
-@Kernel
+@kernel
 def add_scaled(values, factor, target):
     """Add values (n,) times a factor."""
     for i in range(target.size):
         target[i] += factor * values[i]
 
 
-@Kernel
+@kernel
 def along_shear(source, weights, beta, left, blurred):
     """Filter along the axis (beta, 1), with linear interpolation along x.
 
@@ -310,7 +308,7 @@ def along_shear(source, weights, beta, left, blurred):
                 out[i] += near * here[i] + far * beside[i]
 
 
-@Kernel
+@kernel
 def halve(source, target):
     """Fill ``target`` (h, w, C) with the means of 2 x 2 pixels of ``source`` (2 h, 2 w, C)."""
     quarter = np.float32(0.25)
@@ -322,7 +320,7 @@ def halve(source, target):
                 target[row, col, c] = quarter * (upper + lower)
 
 
-@Kernel
+@kernel
 def spread_texels(source, texel, x, left, share, lines):
     """Interpolate rows of texels to pixels, linearly along x, and add them.
 
@@ -352,7 +350,7 @@ def spread_texels(source, texel, x, left, share, lines):
                 lines[row, begin + channel] += near * here[channel] + far * beside[channel]
 
 
-@Kernel
+@kernel
 def spread_lines(lines, texel, y, top, blurred):
     """Interpolate lines of a texel's height to rows of pixels, linearly along y, and add them.
 
@@ -374,7 +372,7 @@ def spread_lines(lines, texel, y, top, blurred):
             out[i] += above * upper[i] + below * lower[i]
 
 
-@Kernel
+@kernel
 def add_lookup(source, texel, share, x, y, left, top, lines, blurred):
     """Add a bilinear lookup at every pixel of a tile.
 
@@ -405,7 +403,7 @@ def add_lookup(source, texel, share, x, y, left, top, lines, blurred):
     spread_lines(used, texel, y, top - first * texel, blurred)
 
 
-@Kernel
+@kernel
 def add_round_lookups(source, texel, share, offset, left, top, lines, blurred):
     """Add bilinear lookups at ``(-+offset, -+offset)`` px, two along x of two along y; parameters as for `add_lookup`.
 
@@ -420,7 +418,7 @@ def add_round_lookups(source, texel, share, offset, left, top, lines, blurred):
     spread_lines(used, texel, offset, top, blurred)
 
 
-@Kernel
+@kernel
 def look_up(way, sums, coarser, covariance, left, top, blurred):
     """Filter a tile with anisotropic lookups into two levels of a pyramid (LRDM section 6.1).
 
@@ -459,7 +457,7 @@ def look_up(way, sums, coarser, covariance, left, top, blurred):
                 add_lookup(source, 1 << number, share, x, y, left, top, lines, blurred)
 
 
-@Kernel
+@kernel
 def first_pass(way, sums, covariance, ring, tile, between):
     """Filter the box of a layer along its first axis, or halve it to the next level of a pyramid.
 
@@ -505,21 +503,21 @@ def first_pass(way, sums, covariance, ring, tile, between):
             halve(sums, next_level(between, sums.shape))
 
 
-@Kernel
+@kernel
 def next_level(between, shape):
     """Return the part of an array of one dimension that is the next level of a pyramid, for the shape of a level."""
     height, width = shape[0] // 2, shape[1] // 2
     return between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
 
 
-@Kernel
+@kernel
 def second_ring(sigma_v, cosine, sine):
     """Return how far the second, shorter pass of a rotated filter reaches, (x, y) px."""
     radius = radius_of(sigma_v)
     return int(math.ceil(radius * abs(sine))) + 1, int(math.ceil(radius * abs(cosine))) + 1
 
 
-@Kernel
+@kernel
 def second_pass(way, sums, covariance, ring, between, blurred):
     """Filter a tile along the second axis of its layer's filter; parameters as for `first_pass`.
 
@@ -549,7 +547,7 @@ def second_pass(way, sums, covariance, ring, between, blurred):
         look_up(way, sums, next_level(between, sums.shape), covariance, ring[0], ring[1], blurred)
 
 
-@Kernel
+@kernel
 def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
     """Do the first pass of layers: jobs begin to end - 1.
 
@@ -570,7 +568,7 @@ def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
         first_pass(way, here, covariance, ring, (tile, tile), part)
 
 
-@Kernel
+@kernel
 def job_of(filters, column, jobs, tile, job, sums, between):
     """Return the sums of a job (h, w, N_SUMS), its covariance, ring and part between the passes."""
     layers, _, _, boxes, texels, starts = jobs
@@ -581,7 +579,7 @@ def job_of(filters, column, jobs, tile, job, sums, between):
     return here, covariance_in(filters[layers[job]], column), ring, between[starts[job] : starts[job + 1]]
 
 
-@Kernel
+@kernel
 def composite_tiles(way, filters, column, jobs, tile, inner, first_job, begin, end, sums, between, image):
     """Do the second pass of all layers of tiles, and put them together: tiles begin to end - 1 of a block.
 

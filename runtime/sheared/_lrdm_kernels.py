@@ -5,9 +5,9 @@ The derivation of the set-up is in docs/lrdm.md; the numbers of its equations ar
 
 import math
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 from spreadlets.runtime.sheared._tile_kernels import MET, N_SUMS, SEEN
 
 COUNT, COC, COC_2, MX, MY, MXX, MXY, MYY = range(8)
@@ -30,10 +30,8 @@ TINY = 1e-12
 MISSES, PASSES, SEES = range(3)
 """What a sample is to a layer: it ended in front of it, was seen through it, or was stopped by it."""
 
-Kernel = numba.njit(cache=True, fastmath=False, nogil=True)
 
-
-@Kernel
+@kernel
 def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
     """Find the partitions of samples begin to end - 1: equal steps of CoC around focus.
 
@@ -55,7 +53,7 @@ def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
         partition[i] = np.uint8(place) if colour[i, 3] != np.float32(0.0) else np.uint8(n_partitions - 1)
 
 
-@Kernel
+@kernel
 def add_moments(moments, p, weight, coc, motion, moving):
     """Add a sample, or one that stands for several, to the moments (P, N_MOMENTS) of a partition."""
     c = np.float64(coc)
@@ -72,7 +70,7 @@ def add_moments(moments, p, weight, coc, motion, moving):
     moments[p, MYY] += weight * y * y
 
 
-@Kernel
+@kernel
 def next_random(state):
     """Return the next number of Marsaglia's 32-bit xor-shift generator."""
     state ^= np.uint32(state << np.uint32(13))
@@ -81,13 +79,13 @@ def next_random(state):
     return state
 
 
-@Kernel
+@kernel
 def below(random, limit):
     """Return a number from 0 to ``limit - 1`` for a random one of 32 bits."""
     return np.int64((np.uint64(random) * np.uint64(limit)) >> np.uint64(32))
 
 
-@Kernel
+@kernel
 def bits_of(partition, begin, end):
     """Return a word with a bit for each partition that some samples are in; those 64 apart share theirs."""
     found, one, last = np.uint64(0), np.uint64(1), np.uint64(63)
@@ -96,7 +94,7 @@ def bits_of(partition, begin, end):
     return found
 
 
-@Kernel
+@kernel
 def full_moments(samples, box, moving, only, moments):
     """Sum the moments of a tile's partitions over all samples, or those of some partitions.
 
@@ -126,7 +124,7 @@ def full_moments(samples, box, moving, only, moments):
                 add_moments(moments, partition[i], 1.0, coc[i], motion[i], moving)
 
 
-@Kernel
+@kernel
 def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
     """Sum the moments of a tile's partitions over one sample of every so many pixels.
 
@@ -164,7 +162,7 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
         add_moments(moments, partition[i], weight, coc[i], motion[i], moving)
 
 
-@Kernel
+@kernel
 def disc_variance(variance, rate):
     """Return the variance along an axis of a uniform disc whose samples weigh ``exp(-rate * r^2)``."""
     a = 4.0 * variance * rate
@@ -173,7 +171,7 @@ def disc_variance(variance, rate):
     return 0.5 / rate * (1.0 - math.exp(-a) * (1.0 + a)) / -math.expm1(-a)
 
 
-@Kernel
+@kernel
 def box_variance(variance, rate):
     """Return the variance of a uniform interval whose samples weigh ``exp(-rate * t^2)``."""
     squared = 3.0 * variance * rate
@@ -183,14 +181,14 @@ def box_variance(variance, rate):
     return 0.5 / rate * (1.0 - 2.0 * z * math.exp(-squared) / (math.sqrt(math.pi) * math.erf(z)))
 
 
-@Kernel
+@kernel
 def weight_rate(excess, variance):
     """Return half the inverse variance of a weight whose variance exceeds the samples' by some; 0 if negligible."""
     rate = 0.5 / (excess + variance) if excess + variance > 0.0 else 0.0
     return rate if rate * variance > LEAST_RATE else 0.0
 
 
-@Kernel
+@kernel
 def set_up(m, spread, pixel, largest, moving, filters):
     """Set up the filter of a partition from the mean and variance of its CoC and motion.
 
@@ -250,7 +248,7 @@ def set_up(m, spread, pixel, largest, moving, filters):
     filters[SYY] = pixel + lens_part + of_mean * y * y + of_spread * yy
 
 
-@Kernel
+@kernel
 def filter_extents(m, spread, pixel, moving, scratch):
     """Return the standard deviations of a partition's screen filter along its axes, the longer first, unclamped, px."""
     set_up(m, spread, pixel, np.inf, moving, scratch)
@@ -259,7 +257,7 @@ def filter_extents(m, spread, pixel, moving, scratch):
     return math.sqrt(mean + half), math.sqrt(max(mean - half, 0.0))
 
 
-@Kernel
+@kernel
 def together(nearer, farther):
     """Return the moments of two partitions that count alike, however many samples they have.
 
@@ -268,7 +266,7 @@ def together(nearer, farther):
     return 0.5 * (nearer / nearer[COUNT] + farther / farther[COUNT])
 
 
-@Kernel
+@kernel
 def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, filters):
     """Find the layers of a tile, front to back, merge them and set their filters up.
 
@@ -322,7 +320,7 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
     return n_used, n_layers
 
 
-@Kernel
+@kernel
 def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, tables):
     """Find layers and filters of tiles begin to end - 1.
 
@@ -357,7 +355,7 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
         )
 
 
-@Kernel
+@kernel
 def land(place, lens, time, slopes, grid, moving, landing):
     """Find the texel of a grid that each sample of a row is reprojected to (LRDM Eq. 1).
 
@@ -394,7 +392,7 @@ def land(place, lens, time, slopes, grid, moving, landing):
             landing[i] = np.int32(row * width + col if within else outside)
 
 
-@Kernel
+@kernel
 def choose(landing, partition, counts, chosen):
     """List the samples (n,) that landed in the grid and count for the layer; return how many they are.
 
@@ -407,7 +405,7 @@ def choose(landing, partition, counts, chosen):
     return n
 
 
-@Kernel
+@kernel
 def add_alike(colour, landing, partition, counts, chosen, sums):
     """Add chosen samples of weight 1 to sums (texels, N_SUMS); those that passed the layer with a colour of 0."""
     one, zero = np.float32(1.0), np.float32(0.0)
@@ -424,7 +422,7 @@ def add_alike(colour, landing, partition, counts, chosen, sums):
         )  # fmt: skip
 
 
-@Kernel
+@kernel
 def add_weighted(samples, landing, partition, counts, chosen, slopes, sums):
     """Add chosen samples with their weights over lens and time; samples are colour (n, 4), lens (n, 2), time (n,)."""
     colour, lens, time = samples
@@ -441,7 +439,7 @@ def add_weighted(samples, landing, partition, counts, chosen, slopes, sums):
                 target[channel] += weight * colour[i, channel]
 
 
-@Kernel
+@kernel
 def reproject(samples, partition, own, holes, layer, slopes, grid, reach, moving, sums):
     """Add the samples around a tile to the sums of one of its layers, at (u, v, t) = (0, 0, 1/2) (LRDM Eq. 1).
 
@@ -488,7 +486,7 @@ def reproject(samples, partition, own, holes, layer, slopes, grid, reach, moving
             add_alike(those, landing, of, counts, chosen[:n], sums)
 
 
-@Kernel
+@kernel
 def reproject_layers(samples, partition, tables, jobs, spread, moving, begin, end, sums):
     """Fill the sums of layers: jobs begin to end - 1.
 

@@ -5,8 +5,9 @@ The sums of a tile are arrays (L, h, w, `N_SUMS`), float32: of each layer, over 
 
 import math
 
-import numba
 import numpy as np
+
+from spreadlets.compiled import kernel
 
 N_SUMS = 6
 """Of each pixel: weighted premultiplied R, G, B, A; weight of the samples in the layer; of those and of its holes."""
@@ -19,7 +20,7 @@ LEAST_MET = np.float32(1e-12)
 """Weight of samples below which a layer is taken as unknown: the tails of recursive filters underflow."""
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@kernel
 def mark_bins(coc, partition, first, width, cell, bin_width, most, near, far):
     """Widen the ranges of bins of CoC, by cell and partition, to what the samples need.
 
@@ -46,7 +47,7 @@ def mark_bins(coc, partition, first, width, cell, bin_width, most, near, far):
             far[row, col, p] = max(far[row, col, p], place)
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@kernel
 def gaussian(sigma, reach):
     """Return weights of sum 1 at -r ... r px, cut at three standard deviations or at `reach` px, float32."""
     radius = min(reach, int(math.ceil(3.0 * sigma)))
@@ -60,7 +61,7 @@ def gaussian(sigma, reach):
     return weights
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@kernel
 def blur(sums, reach, weights, between, blurred):
     """Apply a screen filter that is the same along x and y to a layer's sums.
 
@@ -100,7 +101,7 @@ def blur(sums, reach, weights, between, blurred):
                 target[i] += weight * part[i]
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@kernel
 def composite(blurred, top, left, image, left_over):
     """Put a filtered layer behind what is there already (SLR Eq. 35, Algorithms 1 and 2).
 
@@ -127,7 +128,7 @@ def composite(blurred, top, left, image, left_over):
                 left_over[row, col] *= np.float32(1.0) - opacity
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
+@kernel
 def share_out(top, left, image, left_over):
     """Divide a tile's pixels by the light that layers stopped: what passed them all met no sample of a farther one."""
     for row in range(left_over.shape[0]):

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import for_each, thread_count
 from spreadlets.runtime.sheared import _gauss_kernels, _lrdm_kernels
 from spreadlets.runtime.sheared._tile_kernels import N_SUMS
 from spreadlets.runtime.sheared.filters import LARGEST_SIGMA
@@ -377,13 +376,11 @@ def morton_order(tile: int) -> npt.NDArray[np.int16]:
 
 
 def in_parts(work: Work, n: int, size: int) -> None:
-    """Call ``work(begin, end)`` for parts of a range, in as many threads as Numba may use; parts share nothing.
+    """Call ``work(begin, end)`` for parts of a range, several at a time; parts share nothing.
 
     One thread does all at once.
     """
     parts = [(begin, min(begin + size, n)) for begin in range(0, n, size)]
-    if min(numba.get_num_threads(), len(parts)) <= 1:
+    if min(thread_count(), len(parts)) <= 1:
         return work(0, n)
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in [pool.submit(work, *part) for part in parts]:
-            done.result()
+    for_each(lambda part: work(*part), parts)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
-import numba
-
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_each
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import Tiling
 
@@ -34,11 +32,9 @@ class Method(Protocol):
 
 
 def run(fill_tile: Callable[[int, Image], None], n_tiles: int, image: Image) -> None:
-    """Fill an image (H, W, 4) tile by tile, in as many threads as Numba may use.
+    """Fill an image (H, W, 4) tile by tile, several at a time.
 
     Tiles write different pixels and share nothing else, so the image does not depend on the number of threads. The
     kernels of a tile release the interpreter's lock.
     """
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in [pool.submit(fill_tile, tile, image) for tile in range(n_tiles)]:
-            done.result()
+    for_each(lambda tile: fill_tile(tile, image), range(n_tiles))

@@ -4,9 +4,9 @@ Indices into images are unsigned: a signed index would be checked for wrap-aroun
 compiler from vectorising.
 """
 
-import numba
 import numpy as np
 
+from spreadlets.compiled import kernel
 from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
@@ -18,7 +18,7 @@ LONG_RUN = 16
 _U = np.uint64
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _run_end(label, shift, row, col):
     """Return the column behind the run that starts at (row, col): same label and, if there are shifts, same shift."""
     width = label.shape[1]
@@ -30,8 +30,8 @@ def _run_end(label, shift, row, col):
     return end
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def count_runs(label, shift, group, count):
+@kernel
+def count_runs(begin, end, label, shift, group, count):
     """Count the runs of neighbouring pixels in a row that share a label and a shift.
 
     Parameters
@@ -46,7 +46,7 @@ def count_runs(label, shift, group, count):
         Filled with the runs of each group in each row.
     """
     height, width = label.shape
-    for row in numba.prange(height):
+    for row in range(begin, end):
         count[:, row] = 0
         col = 0
         while col < width:
@@ -56,8 +56,8 @@ def count_runs(label, shift, group, count):
             col = end
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def list_runs(label, shift, group, start, place, n_variants, runs):
+@kernel
+def list_runs(begin, end, label, shift, group, start, place, n_variants, runs):
     """List the runs of `count_runs`, those of a group together, in raster order.
 
     Parameters
@@ -75,7 +75,7 @@ def list_runs(label, shift, group, start, place, n_variants, runs):
     """
     source, first_row, first_col, stride = place
     height, width = label.shape
-    for row in numba.prange(height):
+    for row in range(begin, end):
         at = start[:, row].copy()
         col = 0
         while col < width:
@@ -94,8 +94,8 @@ def list_runs(label, shift, group, start, place, n_variants, runs):
             col = end
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def collect_runs(radiance, runs, place, colours):
+@kernel
+def collect_runs(begin, end, radiance, runs, place, colours):
     """Copy the colours of runs together.
 
     Parameters
@@ -108,13 +108,13 @@ def collect_runs(radiance, runs, place, colours):
     colours : ndarray of shape (n_pixels * 4,), float32
         Filled at these places.
     """
-    for i in numba.prange(runs.shape[0]):
+    for i in range(begin, end):
         source, target = _U(4) * _U(runs[i, 0]), _U(4) * _U(place[i])
         for k in range(_U(4) * _U(runs[i, 3])):
             colours[target + k] = radiance[source + k]
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def run_bounds(runs, reach, stride):
     """Return the first row and column that the splats of runs may touch, and those behind the last."""
     top, left, bottom, right = 1 << 30, 1 << 30, -(1 << 30), -(1 << 30)
@@ -127,7 +127,7 @@ def run_bounds(runs, reach, stride):
     return top, left, bottom, right
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def rows_of_points(offset_rc, point_start, reach, base, first):
     """List, for each variant, where the points of each row begin.
 
@@ -151,8 +151,8 @@ def rows_of_points(offset_rc, point_start, reach, base, first):
             first[base[variant] + k] = p
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def point_offsets(offset_rc, cols, offsets):
+@kernel
+def point_offsets(begin, end, offset_rc, cols, offsets):
     """Turn offsets into places in flattened images of strides 1, 2 and 4, see `_spread`.
 
     Parameters
@@ -163,7 +163,7 @@ def point_offsets(offset_rc, cols, offsets):
     offsets : ndarray of shape (3, n_points), int64
         Filled, in floats.
     """
-    for p in numba.prange(offset_rc.shape[0]):
+    for p in range(begin, end):
         row, col = np.int64(offset_rc[p, 0]) * 4 * cols, np.int64(offset_rc[p, 1])
         offsets[0, p] = row + 4 * col
         # Shifts and masks take the floor of negative columns, too.
@@ -171,7 +171,7 @@ def point_offsets(offset_rc, cols, offsets):
         offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _runs_near(level, first_row, n_rows, farthest):
     """Return the runs of a level that may reach ``n_rows`` rows of the canvas from ``first_row`` on: first, end."""
     _, _, row_start = level
@@ -180,7 +180,7 @@ def _runs_near(level, first_row, n_rows, farthest):
     return first, row_start[min(max(first_row + n_rows + farthest, 0), rows)]
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
     colour = load(radiance, source)
@@ -190,7 +190,7 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
         store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
     for p in range(begin, end):
@@ -200,7 +200,7 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
             store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
     for p in range(begin, end):
@@ -210,7 +210,7 @@ def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, 
             store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
     """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
     radiance, runs, _ = level
@@ -237,7 +237,7 @@ def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, v
             _draw_run(target, radiance, source, at, n, point_offset, value, begin, end)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _spread(target, source, n_rows, stride, pitch):
     """Add to each pixel of the target those of the source that lie 0 and ``stride / 2`` above and to the left.
 
@@ -266,8 +266,8 @@ def _spread(target, source, n_rows, stride, pitch):
 
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_rows):
+@kernel
+def splat_levels(begin, end, image, levels, offsets, points, value, canvas, band_rows, scratch):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
@@ -291,40 +291,35 @@ def splat_levels(image, levels, offsets, points, value, canvas, scratch, band_ro
     canvas : tuple of four ints
         Row and column, in the frame, of the image's first pixel (the column fits all strides: it differs from those of
         blocks by multiples of 4); ``4 * cols``; the largest reach.
-    scratch : ndarray of shape (threads, 2, band_rows + 3, cols * 4), float32
     band_rows : int
         Height of a band.
+    scratch : ndarray of shape (2, band_rows + 3, cols * 4), float32
+        Of this call alone.
     """
     rows, pitch = image.shape
-    # Tuples of unlike arrays cannot enter a parallel loop whole.
-    (colour_1, runs_1, start_1), (colour_2, runs_2, start_2), (colour_4, runs_4, start_4) = levels
-    point_start, first, base, reach = points
+    level_1, level_2, level_4 = levels
     top, left, _, farthest = canvas
-    for band in numba.prange((rows + band_rows - 1) // band_rows):
-        begin = band * band_rows
-        n_rows = min(band_rows, rows - begin)
-        table = point_start, first, base, reach
-        place = top, left, pitch, farthest
-        target = image[begin : begin + n_rows].reshape(n_rows * pitch)
+    place = top, left, pitch, farthest
+    twos, fours = scratch[1].reshape(scratch[1].size), scratch[0].reshape(scratch[0].size)
+    for band in range(begin, end):
+        first_row = band * band_rows
+        n_rows = min(band_rows, rows - first_row)
+        target = image[first_row : first_row + n_rows].reshape(n_rows * pitch)
         target[:] = np.float32(0.0)
-        level_2, level_4 = (colour_2, runs_2, start_2), (colour_4, runs_4, start_4)
-        first_2, end_2 = _runs_near(level_2, begin - 1, n_rows + 1, farthest)
-        first_4, end_4 = _runs_near(level_4, begin - 3, n_rows + 3, farthest)
+        first_2, end_2 = _runs_near(level_2, first_row - 1, n_rows + 1, farthest)
+        first_4, end_4 = _runs_near(level_4, first_row - 3, n_rows + 3, farthest)
         if first_2 < end_2 or first_4 < end_4:
-            own = numba.get_thread_id()
-            twos = scratch[own, 1].reshape(scratch.shape[2] * pitch)
             twos[: (n_rows + 1) * pitch] = np.float32(0.0)
             if first_4 < end_4:
-                fours = scratch[own, 0].reshape(scratch.shape[2] * pitch)
                 fours[: (n_rows + 3) * pitch] = np.float32(0.0)
-                _draw_rows(fours, begin - 3, n_rows + 3, level_4, 4, offsets[2], table, value, place)
+                _draw_rows(fours, first_row - 3, n_rows + 3, level_4, 4, offsets[2], points, value, place)
                 _spread(twos, fours, n_rows + 1, 4, pitch)
-            _draw_rows(twos, begin - 1, n_rows + 1, level_2, 2, offsets[1], table, value, place)
+            _draw_rows(twos, first_row - 1, n_rows + 1, level_2, 2, offsets[1], points, value, place)
             _spread(target, twos, n_rows, 2, pitch)
-        _draw_rows(target, begin, n_rows, (colour_1, runs_1, start_1), 1, offsets[0], table, value, place)
+        _draw_rows(target, first_row, n_rows, level_1, 1, offsets[0], points, value, place)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _first_point(row, begin, end, wanted):
     """Return the first point of [begin, end) whose row is at least ``wanted``; the rows are sorted."""
     while begin < end:
@@ -336,7 +331,7 @@ def _first_point(row, begin, end, wanted):
     return begin
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
     span_row, span_col, span_start = spans
@@ -360,8 +355,8 @@ def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bou
                 image[o + _U(k)] += value[first + _U(k)] * tiled[_U(k)]
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
+@kernel
+def splat_spans(begin, end, image, level, spans, value, span_of_variant, canvas, band_rows):
     """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_levels`.
 
     Short runs are drawn pixel by pixel, each span of the PSF as one contiguous stretch; long ones point by point, each
@@ -387,26 +382,25 @@ def splat_spans(image, level, spans, value, span_of_variant, canvas, band_rows):
     """
     radiance, runs, row_start = level
     top, left, cols, reach, longest = canvas
-    span_row, span_col, span_start = spans
+    span_row, _, _ = spans
     rows = row_start.shape[0] - 1
-    for band in numba.prange((rows + band_rows - 1) // band_rows):
+    tiled = np.empty(4 * longest, np.float32)
+    for band in range(begin, end):
         begin_row = band * band_rows
         end_row = min(begin_row + band_rows, rows)
-        tiled = np.empty(4 * longest, np.float32)
-        table = span_row, span_col, span_start
         for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
             row, length, variant = runs[i, 1] - top, runs[i, 3], runs[i, 4]
-            begin = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
-            end = _first_point(span_row, begin, span_of_variant[variant + 1], end_row - row)
-            if begin == end:
+            first = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
+            last = _first_point(span_row, first, span_of_variant[variant + 1], end_row - row)
+            if first == last:
                 continue
             source = _U(4) * _U(runs[i, 0])
             target = 4 * (np.int64(row) * cols + runs[i, 2] - left)
-            _draw_direct_run(image, radiance, source, target, length, cols, table, value, (begin, end), tiled)
+            _draw_direct_run(image, radiance, source, target, length, cols, spans, value, (first, last), tiled)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
+@kernel
+def gather_runs(begin, end, image, radiance, runs, point_offset, value, point_start, cols):
     """Filter: every pixel of a run sums what lies under its own PSF, each point one contiguous multiply-add.
 
     Parameters
@@ -425,7 +419,7 @@ def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
     cols : int
         Width of the padded input, px.
     """
-    for i in numba.prange(runs.shape[0]):
+    for i in range(begin, end):
         variant = runs[i, 4]
         target = _U(4) * _U(runs[i, 0])
         centre = 4 * (np.int64(runs[i, 1]) * cols + runs[i, 2])
@@ -443,11 +437,12 @@ def gather_runs(image, radiance, runs, point_offset, value, point_start, cols):
                     store(image, target + k, add(load(image, target + k), change))
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
-def sum_rows(image):
+@kernel
+def sum_rows(begin, end, image):
     """Replace an image (rows, cols, 4), float32, by its running sums along rows, in place."""
-    for row in numba.prange(image.shape[0]):
-        total = np.zeros(4, np.float64)
+    total = np.empty(4, np.float64)
+    for row in range(begin, end):
+        total[:] = 0.0
         for col in range(image.shape[1]):
             for c in range(4):
                 total[c] += image[row, col, c]

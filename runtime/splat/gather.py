@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.splat import _splat_kernels
 from spreadlets.runtime.splat.passes import PointTable, SplatPass, find_runs
@@ -32,7 +33,6 @@ def gather(source: SplatPass, table: PointTable) -> Image:
     row, col = -table.offset_rc.T.astype(np.int64)
     cols = padded.shape[1]
     image = np.zeros_like(source.radiance)
-    _splat_kernels.gather_runs(
-        image.reshape(-1), padded.reshape(-1), runs, 4 * (row * cols + col), table.lanes, table.point_start, cols
-    )
+    images, offsets = (image.reshape(-1), padded.reshape(-1)), 4 * (row * cols + col)
+    for_bands(_splat_kernels.gather_runs, len(runs), *images, runs, offsets, table.lanes, table.point_start, cols)
     return image

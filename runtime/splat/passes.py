@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.splat import _splat_kernels
 
@@ -169,13 +170,14 @@ def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
     """List the runs of neighbouring pixels of a pass that share a label and a shift."""
     group = (2 * np.arange(n_layers)[:, None] + table.direct).astype(np.int64).ravel()
     count = np.empty((2 * n_layers, source.label.shape[0]), np.int64)
-    _splat_kernels.count_runs(source.label, source.shift, group, count)
+    for_bands(_splat_kernels.count_runs, count.shape[1], source.label, source.shift, group, count)
     ends = np.cumsum(count.ravel())
     start = np.concatenate([[0], ends[count.shape[1] - 1 :: count.shape[1]]])
     runs = np.empty((int(start[-1]), 5), np.int32)
     first = (ends - count.ravel()).reshape(count.shape)
     place = 0, *source.origin, source.stride
-    _splat_kernels.list_runs(source.label, source.shift, group, first, place, table.n_variants, runs)
+    pixels = source.label, source.shift, group
+    for_bands(_splat_kernels.list_runs, count.shape[1], *pixels, first, place, table.n_variants, runs)
     if source.shift is not NO_SHIFT:
         for begin, end in zip(start[:-1], start[1:], strict=True):
             runs[begin:end] = runs[begin:end][np.argsort(runs[begin:end, _splat_kernels.RUN_ROW], kind="stable")]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.splat import _splat_kernels
 from spreadlets.runtime.splat.passes import STRIDES, Canvas, PointTable, Runs
 
@@ -41,11 +41,16 @@ def splat_laplacian(
     drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
     offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
-    _splat_kernels.point_offsets(table.offset_rc, canvas.cols, offsets)
-    scratch = np.empty((numba.get_num_threads(), 2, BAND_ROWS + 3, pitch), np.float32)
+    for_bands(_splat_kernels.point_offsets, len(table.offset_rc), table.offset_rc, canvas.cols, offsets)
     place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
     rows = image.reshape(canvas.rows, pitch)
-    _splat_kernels.splat_levels(rows, drawn, offsets, table.rows, table.lanes, place, scratch, BAND_ROWS)
+
+    def draw(begin: int, end: int) -> None:
+        scratch = np.empty((2, BAND_ROWS + 3, pitch), np.float32)
+        points = offsets, table.rows, table.lanes
+        _splat_kernels.splat_levels(begin, end, rows, drawn, *points, place, BAND_ROWS, scratch)
+
+    for_bands(draw, -(-canvas.rows // BAND_ROWS))
 
 
 def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
@@ -55,12 +60,14 @@ def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: 
     spans = table.spans
     place = canvas.top, canvas.left, canvas.cols, *spans.extent
     level = _level(source, group, canvas)
-    _splat_kernels.splat_spans(image.reshape(-1), level, *spans, place, BAND_ROWS)
+    for_bands(
+        _splat_kernels.splat_spans, -(-canvas.rows // BAND_ROWS), image.reshape(-1), level, *spans, place, BAND_ROWS
+    )
 
 
 def sum_rows(image: Image) -> Image:
     """Replace an image by its running sums along rows, in place, and return it: differences along rows integrated."""
-    _splat_kernels.sum_rows(image)
+    for_bands(_splat_kernels.sum_rows, len(image), image)
     return image
 
 
@@ -88,8 +95,10 @@ def _joined(sources: Sequence[Runs], group: int, canvas: Canvas) -> Level:
     colours = np.empty(4 * int(ends[-1]) if len(ends) else 0, np.float32)
     begin = 0
     for each, part in zip(sources, parts, strict=True):
-        _splat_kernels.collect_runs(each.source.radiance.reshape(-1), part, place[begin : begin + len(part)], colours)
-        begin += len(part)
+        end = begin + len(part)
+        source = each.source.radiance.reshape(-1)
+        for_bands(_splat_kernels.collect_runs, len(part), source, part, place[begin:end], colours)
+        begin = end
     runs[:, _splat_kernels.RUN_SOURCE] = place
     runs = runs[order]
     return colours, runs, _row_start(runs, canvas)

@@ -6,24 +6,24 @@ Nothing here validates: the wrappers in ``deep`` do.
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import DoubleArray, IntArray
+from spreadlets.compiled import kernel
 
 LayerArray = npt.NDArray[np.float32]
 
 FRONT, BACK, ALPHA, COLOUR, LABELS = 0, 1, 2, 3, 6
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def density(alpha: float) -> float:
     """Return the optical depth of an alpha, infinite for an opaque sample."""
     return math.inf if alpha >= 1.0 else -math.log1p(-alpha)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None:
     """Mix parts of samples that fill the same range of depth into one.
 
@@ -74,7 +74,7 @@ def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None
         row[k] /= weight_sum
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     """Split the samples of a pixel where others begin or end, sort them, and merge those that coincide.
 
@@ -117,7 +117,7 @@ def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     return count
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def tidy_pixels(start: IntArray, table: DoubleArray, out: DoubleArray, count: IntArray) -> None:
     """Tidy every pixel.
 
@@ -135,7 +135,7 @@ def tidy_pixels(start: IntArray, table: DoubleArray, out: DoubleArray, count: In
         count[pixel] = tidy_pixel(table[begin:end], out[3 * begin : 3 * end]) if end > begin else 0
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def composite(near: DoubleArray, far: DoubleArray) -> None:
     """Put a nearer sample over a farther one; depth and labels become means by visible alpha. Changes `near`."""
     seen = (1.0 - near[ALPHA]) * far[ALPHA]
@@ -153,7 +153,7 @@ def composite(near: DoubleArray, far: DoubleArray) -> None:
     near[ALPHA] = total
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def collect_layers(start: IntArray, table: DoubleArray, layer: IntArray, out: LayerArray) -> None:
     """Composite the samples of each pixel that share a layer.
 
@@ -180,7 +180,7 @@ def collect_layers(start: IntArray, table: DoubleArray, layer: IntArray, out: La
                 out[layer[first], pixel, k] = table[first, k]
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, seam: DoubleArray) -> None:
     """Count, for every cut, the samples of a pixel that it parts from the nearest in depth of a neighbour's samples.
 
@@ -203,7 +203,7 @@ def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, 
         seam[max(bins[i], bins[j]) + 1] -= 0.5
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def seam_lengths(start: IntArray, bins: IntArray, width: int, seam: DoubleArray) -> None:
     """Add the seams between all neighbouring pixels of an image to `seam`; see `add_seams`."""
     n_pixels = start.size - 1

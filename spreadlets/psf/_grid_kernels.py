@@ -5,10 +5,10 @@ Imports numpy, numba and math only. Nothing here validates: the wrappers in ``gr
 
 import math
 
-import numba
 import numpy as np
 
 from spreadlets.arrays import BoolArray, DoubleArray, IntArray
+from spreadlets.compiled import kernel
 
 _OCTANT = math.pi / 4.0
 
@@ -16,7 +16,7 @@ SIGN_IGNORED, SIGN_TURNED, SIGN_STORED = 0, 1, 2
 """What the side of the focus does to a PSF: nothing; half a turn; it has spreadlets of its own."""
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def triangular_root(value: float) -> int:
     """Return the largest l with l (l + 1) / 2 <= value, for value >= 0.
 
@@ -30,7 +30,7 @@ def triangular_root(value: float) -> int:
     return level
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray) -> int:
     """Map a coordinate in grid units to its cell in O(1); coordinates outside the space are clamped into it.
 
@@ -69,10 +69,10 @@ def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray)
         if all_inner:
             inner_before += max(k - 1, 0)
             all_inner = k >= 1
-    return level_offset[level] + rank - inner_before
+    return int(level_offset[level] + rank - inner_before)
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def grid_coordinate(value: float, remap: DoubleArray, n_units: int) -> float:
     """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
 
@@ -89,26 +89,26 @@ def grid_coordinate(value: float, remap: DoubleArray, n_units: int) -> float:
     return max(n_units * (fraction - remap[2]) / (1.0 - remap[2]), 0.0)
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
+@kernel
 def cell_indices(coordinates: DoubleArray, shape: IntArray, level_offset: IntArray) -> IntArray:
     """Apply `cell_index` to each row of ``coordinates`` (n, n_axes)."""
     out = np.empty(coordinates.shape[0], dtype=np.int64)
-    for row in numba.prange(coordinates.shape[0]):
+    for row in range(coordinates.shape[0]):
         out[row] = cell_index(coordinates[row], shape, level_offset)
     return out
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
+@kernel
 def grid_coordinates(coordinates: DoubleArray, remap: DoubleArray, shape: IntArray) -> DoubleArray:
     """Apply `grid_coordinate` to each entry of ``coordinates`` (n, n_axes), physical units."""
     out = np.empty(coordinates.shape, dtype=np.float64)
-    for row in numba.prange(coordinates.shape[0]):
+    for row in range(coordinates.shape[0]):
         for axis in range(coordinates.shape[1]):
             out[row, axis] = grid_coordinate(coordinates[row, axis], remap[axis], shape[axis])
     return out
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a motion angle into the octant [0, pi/4] and round it to the nearest of ``n_directions`` nodes.
 
@@ -141,7 +141,7 @@ def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bo
     return index, transpose, mirrored and not transpose, mirrored and transpose
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a direction as `fold_direction` does, but tell it from its opposite: all eight symmetries are in use."""
     across, along = math.sin(angle), math.cos(angle)
@@ -158,7 +158,7 @@ def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     return index, transpose, flip_row, flip_col
 
 
-@numba.njit(cache=True, fastmath=False)
+@kernel
 def fold_pose(
     angle: float, in_front: bool, n_poses: int, codes: tuple[bool, bool, int]
 ) -> tuple[int, bool, bool, bool]:
@@ -199,14 +199,14 @@ def fold_pose(
     return index, transpose, flip_row != turned, flip_col != turned
 
 
-@numba.njit(cache=True, fastmath=False, parallel=True)
+@kernel
 def fold_poses(
     angles: DoubleArray, in_front: BoolArray, n_poses: IntArray, codes: tuple[bool, bool, int]
 ) -> tuple[IntArray, BoolArray]:
     """Apply `fold_pose` elementwise; return the numbers (n,) and the three flags as columns (n, 3)."""
     index = np.empty(angles.shape[0], dtype=np.int64)
     flags = np.empty((angles.shape[0], 3), dtype=np.bool_)
-    for row in numba.prange(angles.shape[0]):
+    for row in range(angles.shape[0]):
         node, transpose, flip_row, flip_col = fold_pose(angles[row], in_front[row], n_poses[row], codes)
         index[row] = node
         flags[row, 0] = transpose

@@ -4,11 +4,11 @@ import json
 import sys
 from types import SimpleNamespace
 
-import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from reference_sheared import filtered, gaussian, irradiance, reconstruct_naive
+from threads import for_thread_counts
 
 import spreadlets.runtime.finish.denoise
 from spreadlets.api import reconstruct
@@ -426,14 +426,7 @@ def test_no_seam_runs_where_the_range_of_a_layer_changes_from_tile_to_tile():
 
 def test_the_image_is_the_same_for_any_number_of_threads():
     given = planes(np.random.default_rng(11), n_samples=1)
-    before = numba.get_num_threads()
-    images = []
-    try:
-        for threads in sorted({1, numba.config.NUMBA_NUM_THREADS}):
-            numba.set_num_threads(threads)
-            images.append(reconstruct(given, CAMERA, method="sheared"))
-    finally:
-        numba.set_num_threads(before)
+    images = for_thread_counts(lambda: reconstruct(given, CAMERA, method="sheared"))
     samples, method = Samples.from_buffer(given, CAMERA), Slr()
     tiling = method.tiling(given.shape)
     tiles = method.prepare(samples, tiling)

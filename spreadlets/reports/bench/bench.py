@@ -20,6 +20,7 @@ import numba
 from spreadlets import metrics
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import thread_count
 from spreadlets.psf.database import open_database
 from spreadlets.reports.bench.contenders import Contender, contenders, recorded
 from spreadlets.reports.bench.page import save_page, save_pictures
@@ -74,7 +75,7 @@ def conditions(quick: bool) -> dict[str, Any]:
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "threads": int(numba.get_num_threads()),
+        "threads": thread_count(),
         "python": platform.python_version(),
         "numba": numba.__version__,
         "source": digest.hexdigest()[:12],

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.errors import InvalidParameterError
+from spreadlets.parallel import limit_threads
 from spreadlets.precompute.sparsify.fit import fit_values, moment_constraints
 from spreadlets.reports.stability.lab import (
     CAMERA,
@@ -216,12 +216,9 @@ def any_threads(lab: Lab) -> float:
     """No sum depends on who takes it."""
     depth, motion = random_labels(10)
     frame = Frame(texture(SIDE, SIDE), depth, motion)
-    threads = numba.get_num_threads()
-    images = []
-    for count in (1, threads):
-        numba.set_num_threads(count)
-        images.append(lab.render(frame))
-    return worst(images[0] - images[1])
+    with limit_threads(1):
+        alone = lab.render(frame)
+    return worst(lab.render(frame) - alone)
 
 
 # --- energy

@@ -3,6 +3,7 @@ import math
 import numba
 import numpy as np
 import pytest
+from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.build.build import model_settings
@@ -106,13 +107,11 @@ def test_single_scattering_has_the_closed_form_within_a_radius():
 
 @compiled
 def test_result_does_not_depend_on_the_thread_count():
-    before = numba.get_num_threads()
-    results = []
-    for n_threads in (1, numba.config.NUMBA_NUM_THREADS):
-        numba.set_num_threads(n_threads)
-        results.append(trace_paths(Medium(), (1.0, 2.0), 500.0, 20.0, 10 * N_BLOCKS + 3, 7).rings)
-    numba.set_num_threads(before)
-    np.testing.assert_array_equal(*results)
+    first, *others = for_thread_counts(
+        lambda: trace_paths(Medium(), (1.0, 2.0), 500.0, 20.0, 10 * N_BLOCKS + 3, 7).rings
+    )
+    for other in others:
+        np.testing.assert_array_equal(other, first)
 
 
 def test_rings_are_drawn_with_their_energy_and_their_place():

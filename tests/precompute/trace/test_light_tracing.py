@@ -2,6 +2,7 @@ import numba
 import numpy as np
 import pytest
 import reference
+from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_similarity
@@ -83,13 +84,9 @@ def test_prefilter_is_the_tent_average_over_motion_and_direction():
 @compiled
 @pytest.mark.parametrize("model, box", [(SIMPLE, [[10, 12]]), (COMBINED, [[10, 12], [20, 25]])])
 def test_result_does_not_depend_on_the_thread_count(model, box):
-    before = numba.get_num_threads()
-    results = []
-    for n_threads in (1, numba.config.NUMBA_NUM_THREADS):
-        numba.set_num_threads(n_threads)
-        results.append(trace_psf(model, box, direction=0.3, direction_half_width=0.05))
-    numba.set_num_threads(before)
-    np.testing.assert_array_equal(*results)
+    first, *others = for_thread_counts(lambda: trace_psf(model, box, direction=0.3, direction_half_width=0.05))
+    for other in others:
+        np.testing.assert_array_equal(other, first)
 
 
 @compiled
@@ -167,13 +164,13 @@ def random_segments(n, n_channels, rng):
 def test_deposit_agrees_with_the_naive_twin(n_channels):
     ends, start, stop = random_segments(400, n_channels, np.random.default_rng(2))
     images = np.zeros((8, 13, 15, n_channels))
-    deposit_segments(ends, start, stop, images)
+    deposit_segments(0, len(images), ends, start, stop, images)
     np.testing.assert_allclose(images.sum(axis=(0, 1, 2)), (start + stop).sum(axis=0) / 2)
     # Segments along a pixel border belong to either side, by rounding: compared above in energy only.
     plain = np.ones(400, dtype=bool)
     plain[3::10] = False
     images[:] = 0.0
-    deposit_segments(ends[plain], start[plain], stop[plain], images)
+    deposit_segments(0, len(images), ends[plain], start[plain], stop[plain], images)
     expected = reference.deposit_segments(ends[plain], start[plain], stop[plain], np.zeros((13, 15, n_channels)))
     np.testing.assert_allclose(images.sum(axis=0), expected, atol=1e-12)
 
@@ -181,7 +178,7 @@ def test_deposit_agrees_with_the_naive_twin(n_channels):
 @pytest.mark.parametrize("x, pixel", [(-0.5, 0), (0.49, 0), (0.5, 1), (-0.51, -1)])
 def test_pixel_owns_its_lower_border(x, pixel):
     images = np.zeros((1, 5, 5, 1))
-    deposit_segments(np.array([[x, 0.0, x, 0.0]]), np.ones((1, 1)), np.ones((1, 1)), images)
+    deposit_segments(0, len(images), np.array([[x, 0.0, x, 0.0]]), np.ones((1, 1)), np.ones((1, 1)), images)
     assert images[0, 2, 2 + pixel, 0] == 1.0
 
 

@@ -1,6 +1,6 @@
-import numba
 import numpy as np
 import pytest
+from threads import for_thread_counts
 
 import spreadlets as sp
 from spreadlets.errors import InvalidParameterError
@@ -90,15 +90,15 @@ def test_a_small_image_is_left_as_it_is():
 def test_the_image_is_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(3)
     truth = texture(rng)
-    samples, threads, images = list(noisy(truth, rng)), numba.get_num_threads(), []
-    try:
-        for n in (1, threads):
-            numba.set_num_threads(n)
-            images.append(truth * np.float32(0.8))
-            calibrate(images[-1], samples, everything())
-    finally:
-        numba.set_num_threads(threads)
-    assert np.array_equal(*images)
+    samples = list(noisy(truth, rng))
+
+    def calibrated():
+        image = truth * np.float32(0.8)
+        calibrate(image, samples, everything())
+        return image
+
+    first, *others = for_thread_counts(calibrated)
+    assert all(np.array_equal(first, other) for other in others)
 
 
 def buffer(rng, *, lens=1.0, time=0.25, motion=4.0, shift=0.0):

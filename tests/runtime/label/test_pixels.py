@@ -12,7 +12,7 @@ NEAR, FAR = 2.0, 6.0
 
 def place(before, after, time):
     found = np.empty((1, 1, 2), np.float32)
-    path_places(*(np.array(each, np.float32).reshape(1, 1, 2) for each in (before, after)), time, found)
+    path_places(0, 1, *(np.array(each, np.float32).reshape(1, 1, 2) for each in (before, after)), time, found)
     return found[0, 0]
 
 

@@ -2,11 +2,11 @@
 
 import json
 
-import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy import ndimage
+from threads import for_thread_counts
 
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.cli.main import cli, main
@@ -15,7 +15,7 @@ from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LAST, add_layer
-from spreadlets.runtime.composite.layers import Moments, layer_moments, passing_samples, seen_share
+from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, seen_share
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.plan import layering
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -143,7 +143,7 @@ def test_the_box_blur_is_two_uniform_filters(half, repeat, mode, shape):
     expected = image.astype(np.float64)
     for _ in range(2):
         expected = ndimage.uniform_filter(expected, 2 * half + 1, mode=mode)
-    _visibility_kernels.box_blur(image, half, repeat, np.empty_like(image))
+    box_blur(image, half, repeat=repeat)
     assert np.allclose(image, expected, atol=1e-6)
 
 
@@ -485,14 +485,10 @@ def bar_alpha(seed):
 
 def test_results_do_not_depend_on_the_number_of_threads(small_combined):
     samples, frame = bar_samples(1), square_frame()[0]
-    found, before = [], numba.get_num_threads()
-    try:
-        for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(count)
-            found.append((reconstruct(samples, CAMERA, small_combined), synthesize(frame, CAMERA, small_combined)))
-    finally:
-        numba.set_num_threads(before)
-    assert all(np.array_equal(one, two) for one, two in zip(*found, strict=True))
+    first, *others = for_thread_counts(
+        lambda: (reconstruct(samples, CAMERA, small_combined), synthesize(frame, CAMERA, small_combined))
+    )
+    assert all(np.array_equal(one, two) for other in others for one, two in zip(first, other, strict=True))
 
 
 def test_an_unknown_method_of_reconstruction_is_named(small_combined):

@@ -1,6 +1,6 @@
-import numba
 import numpy as np
 import pytest
+from threads import for_thread_counts
 
 from spreadlets.runtime.plan import pool as pooling
 from spreadlets.runtime.plan.pool import place_pixels, pool
@@ -102,15 +102,8 @@ def test_many_samples_are_pooled_in_several_batches_of_the_same_sum(monkeypatch)
 def test_sums_are_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(6)
     samples = [make_samples(rng, border=True) for _ in range(3)]
-    threads = numba.get_num_threads()
-    try:
-        results = []
-        for n in (1, threads):
-            numba.set_num_threads(n)
-            results.append(pooled(samples)[0])
-    finally:
-        numba.set_num_threads(threads)
-    assert all(np.array_equal(a, b) for a, b in zip(results[0][1:4], results[1][1:4], strict=True))
+    first, *others = for_thread_counts(lambda: pooled(samples)[0][1:4])
+    assert all(np.array_equal(a, b) for other in others for a, b in zip(first, other, strict=True))
 
 
 def test_nothing_to_draw_gives_nothing():

@@ -1,7 +1,7 @@
-import numba
 import numpy as np
 import pytest
 from reference_splat import splat_naive
+from threads import for_thread_counts
 
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.splat.passes import PointTable, SplatPass, canvas_of, find_runs
@@ -92,13 +92,8 @@ def test_passes_add_up(n_channels):
 def test_the_result_does_not_depend_on_the_number_of_threads(n_channels):
     rng = np.random.default_rng(5)
     table, sources = random_table(rng, n_channels), random_levels(rng)
-    images = []
-    for threads in (1, 2):
-        before = numba.get_num_threads()
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-        images.append([drawn(table, sources, group)[1] for group in (0, 1)])
-        numba.set_num_threads(before)
-    assert np.array_equal(*images)
+    first, *others = for_thread_counts(lambda: [drawn(table, sources, group)[1] for group in (0, 1)])
+    assert all(np.array_equal(first, other) for other in others)
 
 
 @pytest.mark.interpreted
