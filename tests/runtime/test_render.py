@@ -344,6 +344,15 @@ def test_beyond_the_range_the_nearest_cell_is_scaled_with_a_warning(small_combin
     assert image[..., 0].sum() == pytest.approx(4.0, rel=5e-3)
 
 
+def test_only_the_last_cells_are_scaled(small_combined):
+    """What lies beyond the range is drawn from the cell that it is nearest to, whatever its size."""
+    coc = np.linspace(1.05, 2.0, SIZE) * 12.0
+    frame = Frame(np.ones((SIZE, SIZE, 3), np.float32), np.broadcast_to(depth_of(coc), (SIZE, SIZE)))
+    with pytest.warns(UserWarning, match="scaled from the nearest cell"):
+        _, report = synthesize(frame, CAMERA, small_combined)
+    assert report["plan"]["cells_used"] == 1
+
+
 def test_scaling_keeps_the_moments(small_combined):
     spreadlet = next(
         spreadlet
