@@ -67,3 +67,20 @@ def test_a_write_that_fails_at_its_end_leaves_nothing_behind(tmp_path, monkeypat
     assert len(finished) == 1 and finished[0] > 0
     left = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     assert left == ({} if before is None else {name: before})
+
+
+def test_a_cell_that_cannot_be_stored_leaves_those_before_it(tmp_path, monkeypatch):
+    stored, plain = [], os.replace
+
+    def fail(source, target):
+        if len(stored) == 2:
+            raise OSError("no room")
+        stored.append(os.path.basename(target))
+        plain(source, target)
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(SpreadletsError, match="no room"):
+        build_database("simplelens", tmp_path / "database.h5", samples=5, max_coc=4.0, jobs=1)
+    left = {path.name for path in (tmp_path / "database.h5.parts").iterdir()}
+    assert left >= set(stored) and not [name for name in left if name.endswith(".tmp")]
+    assert [path.name for path in tmp_path.iterdir()] == ["database.h5.parts"]
