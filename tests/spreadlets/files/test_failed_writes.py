@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import spreadlets as sp
-from precompute.build import build_database
-from spreadlets import exr, plot
 from spreadlets.errors import SpreadletsError
-from spreadlets.sample_files import write_samples
-from spreadlets.tlfr import write_tlfr
+from spreadlets.files import exr_frames as exr
+from spreadlets.files.exr_samples import write_samples
+from spreadlets.files.tlfr import write_tlfr
+from spreadlets.precompute.build.build import build_database
+from spreadlets.reports import database_plot as plot
 
 SHAPE = 4, 6
 CAMERA = sp.ThinLens(50.0, 36.0, 2.0, 4.0)
