@@ -29,15 +29,18 @@ def compare(image: str, reference: str, as_json: bool) -> None:
 
 @cloup.command()
 @cloup.option("-o", "--output", default="demo_output", show_default=True, type=click.Path(file_okay=False))
+@cloup.option("--reconstruct", "from_samples", is_flag=True, help="Clean the samples that ship, instead.")
 @json_option
-def demo(output: str, as_json: bool) -> None:
+def demo(output: str, from_samples: bool, as_json: bool) -> None:
     """Blur the frame that ships with the package and compare it with the renderer's own depth of field and motion blur.
 
     Example: spreadlets demo -o demo_output
-    """
-    from spreadlets.reports.demo import run_demo
 
-    print_figures(run_demo(output), as_json)
+    Example: spreadlets demo --reconstruct -o demo_output
+    """
+    from spreadlets.reports.demo import run_demo, run_reconstruction_demo
+
+    print_figures((run_reconstruction_demo if from_samples else run_demo)(output), as_json)
 
 
 @cloup.command()

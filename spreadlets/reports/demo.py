@@ -1,4 +1,4 @@
-"""The demonstration: blur the frame that ships with the package, and compare it with the renderer's own result."""
+"""The demonstrations: blur a frame that ships, or clean samples, and compare with the renderer's own image."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from spreadlets import metrics
-from spreadlets.api import synthesize
+from spreadlets.api import reconstruct, synthesize
+from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
+from spreadlets.files.exr_samples import read_samples
 from spreadlets.runtime.clock import Clock
+from spreadlets.runtime.report import Report
 from spreadlets.scene.camera import read_camera
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 FRAME = "coins"
+SAMPLES = "fence"
 DATABASE = "combined"
 
 
@@ -30,21 +34,63 @@ def run_demo(folder: str | os.PathLike[str]) -> dict[str, Any]:
     -------
     dict
         The report of the run with the metrics against the reference, and the folder.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the folder cannot be made.
     """
+    output, clock = _made(folder), Clock()
+    with clock.step("read"):
+        frame = exr.read_frame(DATA / f"{FRAME}_pinhole.exr")
+    image, report = synthesize(frame, read_camera(DATA / f"{FRAME}.json"), DATABASE, report=True, clock=clock)
+    return _written(output, FRAME, {"result": image, "pinhole": frame.layers[0].radiance}, report, clock)
+
+
+def run_reconstruction_demo(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Clean the shipped samples, which were rendered through lens and shutter.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where ``result.exr``, ``result.png``, ``samples.png`` (the mean of each pixel's samples) and ``reference.png``
+        are written; made if need be.
+
+    Returns
+    -------
+    dict
+        The report of the run with the metrics against the reference, and the folder.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the folder cannot be made.
+    """
+    output, clock = _made(folder), Clock()
+    camera = read_camera(DATA / f"{SAMPLES}.json")
+    with clock.step("read"):
+        samples = read_samples(DATA / f"{SAMPLES}_samples.exr", camera=camera)
+    image, report = reconstruct(samples, camera, DATABASE, report=True, clock=clock)
+    mean = reconstruct(samples, camera, method="mean")
+    return _written(output, SAMPLES, {"result": image, "samples": mean}, report, clock)
+
+
+def _made(folder: str | os.PathLike[str]) -> Path:
+    """Return a folder that exists."""
     output = Path(folder)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidParameterError(f"cannot write to {str(output)!r}: {error}") from error
-    clock = Clock()
-    with clock.step("read"):
-        frame = exr.read_frame(DATA / f"{FRAME}_pinhole.exr")
-    reference = exr.read_image(DATA / f"{FRAME}_ref_dofmb.exr")
-    image, report = synthesize(frame, read_camera(DATA / f"{FRAME}.json"), DATABASE, report=True, clock=clock)
+    return output
+
+
+def _written(output: Path, name: str, pictures: dict[str, Image], report: Report, clock: Clock) -> dict[str, Any]:
+    """Write the result and the pictures beside the reference, and add to the report how far from it the result is."""
+    reference = exr.read_image(DATA / f"{name}_ref_dofmb.exr")
     with clock.step("write"):
-        exr.write_image(output / "result.exr", image)
-    pictures = {"result": image, "pinhole": frame.layers[0].radiance, "reference": reference}
-    for name, picture in pictures.items():
-        exr.write_png(output / f"{name}.png", picture)
-    figures = metrics.compare(image, reference)
+        exr.write_image(output / "result.exr", pictures["result"])
+    for each, picture in (pictures | {"reference": reference}).items():
+        exr.write_png(output / f"{each}.png", picture)
+    figures = metrics.compare(pictures["result"], reference)
     return report.to_dict() | {"time_s": clock.times()} | figures | {"written_to": str(output)}

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from reference import disc_coverage
 
 from spreadlets.precompute.sparsify.annealing import anneal
@@ -20,11 +21,15 @@ def l1(psf, field, points):
     return np.abs(dense - psf).sum() / psf.sum()
 
 
-def test_annealing_lowers_the_error_and_longer_annealing_no_less():
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_annealing_lowers_the_error_and_longer_annealing_more(seed):
     psf, field, points = start()
-    errors = [l1(psf, field, anneal(psf, field, points, np.random.default_rng(0), n)) for n in (0, 60, 400)]
-    assert errors[1] < errors[0]
-    assert errors[2] < errors[0]
+    before, short, whole = (
+        l1(psf, field, anneal(psf, field, points, np.random.default_rng(seed), *n_steps))
+        for n_steps in ((0,), (60,), ())
+    )
+    assert short < 0.7 * before
+    assert whole < 0.38 * before  # measured 0.30 to 0.34
 
 
 def test_points_stay_distinct_and_inside():

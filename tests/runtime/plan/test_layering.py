@@ -262,6 +262,13 @@ def test_a_share_that_was_seen_stands_for_the_whole():
     assert np.allclose(behind_hole(np.full((16, 16, 3), 0.7), seen), (0.7, 0.7, 0.7, 1.0), atol=1e-6)
 
 
+def test_where_little_was_seen_the_surroundings_count_more():
+    """A few hundredths of a pixel, often of a wrong colour beside an edge, may not stand for the whole."""
+    colour, seen = np.full((32, 32, 3), 0.5), np.ones((32, 32))
+    colour[16, 16], seen[16, 16] = 4.0, 0.03
+    assert 0.5 < behind_hole(colour, seen)[16, 16, 0] < 1.0
+
+
 def test_samples_that_passed_make_a_layer_transparent():
     sums = np.full((8, 8, 4), 3.0, np.float32) * np.float32([0.5, 0.5, 0.5, 1.0])
     image = np.zeros((8, 8, 4), np.float32)
@@ -399,7 +406,7 @@ def rms(image, truth):
 def test_samples_become_cleaner_than_their_mean_and_more_of_them_better(small_combined, bar_truth):
     found = [rms(reconstruct(bar_samples(count), CAMERA, small_combined), bar_truth) for count in (1, 2, 4)]
     mean = rms(reconstruct(bar_samples(1), CAMERA, method="mean"), bar_truth)
-    assert found[0] < 0.25 * mean
+    assert found[0] < 0.1 * mean  # measured 0.072
     assert found[0] > found[1] > found[2]
 
 
@@ -413,6 +420,38 @@ def test_dense_and_sparse_reconstruct_alike(small_combined):
     samples = bar_samples(1)
     sparse, dense = (reconstruct(samples, CAMERA, small_combined, method=name) for name in ("spreadlets", "dense"))
     assert rms(sparse, dense) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("coc", "motion"), [(6.0, (0.0, 0.0)), (-6.0, (0.0, 0.0)), (0.0, (20.0, -8.0)), (6.0, (20.0, -8.0))]
+)
+def test_samples_of_a_texture_return_to_where_they_would_lie_without_lens_and_motion(small_combined, coc, motion):
+    def texture(x, y):
+        return np.repeat(0.5 + 0.4 * (np.sin(x / 1.5) * np.cos(y / 2.0))[..., None], 3, axis=-1)
+
+    lens, time, offset = random_rays(4)
+    rows, cols = np.indices((SIZE, SIZE))
+    x, y = (
+        index[..., None] + offset[..., axis] - coc * lens[..., axis] - motion[axis] * time
+        for axis, index in enumerate((cols, rows))
+    )
+    moving = np.broadcast_to(motion, (*time.shape, 2))
+    samples = SampleBuffer(texture(x, y), np.full(time.shape, depth_of(coc)), moving, lens, time, offset)
+    image = reconstruct(samples, CAMERA, small_combined, defocus=False, motion=False)
+    assert rms(image, texture(cols, rows)) < 0.045  # measured 0.027
+
+
+@pytest.mark.parametrize("coc", [0.0, 1.5, 3.0, 4.0])
+def test_a_narrow_psf_of_a_sample_is_placed_to_a_fraction_of_a_pixel(small_combined, coc):
+    shape = SIZE, SIZE, 4
+    colour, (dx, dy) = np.zeros((*shape, 3)), (0.3, -0.2)
+    colour[30, 33] = 1.0
+    still, centre, offset = np.zeros((*shape, 2)), np.zeros((*shape, 2)), np.broadcast_to((dx, dy), (*shape, 2))
+    samples = SampleBuffer(colour, np.full(shape, depth_of(coc)), still, centre, np.zeros(shape), offset)
+    image = reconstruct(samples, CAMERA, small_combined, layers=1, firefly_clamp=np.inf, calibrate=False)
+    light, (rows, cols) = image[..., 0], np.indices((SIZE, SIZE))
+    assert (light * rows).sum() / light.sum() == pytest.approx(30 + dy, abs=0.05)
+    assert (light * cols).sum() / light.sum() == pytest.approx(33 + dx, abs=0.05)
 
 
 def plane_samples(n_samples=2, coc=6.0, motion=(10.0, -4.0), alpha=1.0):
@@ -522,7 +561,7 @@ def test_the_command_prints_one_json_object(files, small_combined_path):
     assert {"read", "plan", "splat", "integrate", "composite", "write", "total"} <= set(report["time_s"])
     assert {"layers", "cells_used", "points_splatted", "left_out"} <= set(report["plan"])
     assert {"compile_s", "peak_rss_mb", "ssim", "psnr", "flip", "relmse", "mae"} <= set(report)
-    assert report["ssim"] > 0.8 and (files / "out.exr").exists()
+    assert report["ssim"] > 0.98 and (files / "out.exr").exists()
 
 
 def test_calibration_can_be_left_out(files, small_combined_path):

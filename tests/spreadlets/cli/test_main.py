@@ -2,9 +2,11 @@
 
 import json
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
+import OpenEXR
 import pytest
 
 from spreadlets.cli import main as cli
@@ -90,8 +92,6 @@ def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combine
     frame = exr.read_frame(scene / "frame.exr")
     depth = frame.depth.copy()
     depth[3, 4:6] = -1.0
-    import OpenEXR
-
     channels = dict(zip("RGB", np.moveaxis(frame.radiance[..., :3], -1, 0).copy(), strict=True)) | {"Z": depth}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(scene / "frame.exr"))
     assert run(*synth_arguments(scene, small_combined_path))[0] == 2
@@ -218,22 +218,25 @@ def test_missing_frames_of_a_sequence_are_named(run, shot, small_combined_path):
     assert len(json.loads(out)["frames"]) == 2
 
 
-def test_an_interrupted_sequence_leaves_whole_frames_only(run, shot, small_combined_path, monkeypatch):
-    from spreadlets import api
+def test_an_interrupted_sequence_leaves_whole_frames_only_and_goes_on(run, shot, small_combined_path, monkeypatch):
+    plain, calls = OpenEXR.File.write, []
 
-    plain, calls = api.synthesize, []
-
-    def interrupted(*arguments, **options):
-        calls.append(1)
+    def interrupted(file, path):
+        calls.append(path)
         if len(calls) == 2:
+            Path(path).write_bytes(b"half a frame")
             raise KeyboardInterrupt
-        return plain(*arguments, **options)
+        plain(file, path)
 
-    monkeypatch.setattr(api, "synthesize", interrupted)
+    monkeypatch.setattr(OpenEXR.File, "write", interrupted)
+    before = set(shot.iterdir())
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
-    assert status == 130 and out == "" and "interrupted" in err
-    assert [path.name for path in shot.iterdir() if "out" in path.name or path.name.startswith(".")] == ["out.01.exr"]
+    assert status == 130 and out == "" and "interrupted" in err and len(calls) == 2
+    assert {path.name for path in set(shot.iterdir()) - before} == {"out.01.exr"}
     assert exr.read_image(shot / "out.01.exr").shape == (24, 32, 4)
+    status, out, _ = run(*sequence_arguments(shot, small_combined_path), "--json")
+    assert (status, json.loads(out)["written"], json.loads(out)["skipped"]) == (0, 2, 1)
+    assert exr.read_image(shot / "out.02.exr").shape == (24, 32, 4)
 
 
 def test_a_bad_frame_of_a_sequence_is_named_and_earlier_ones_stay(run, shot, small_combined_path):
@@ -320,8 +323,6 @@ def with_frame(**changes):
     def write(scene):
         values = {"R": 0.5, "G": 0.5, "B": 0.5, "Z": 5.0} | changes
         channels = {name: np.full((4, 4), value, np.float32) for name, value in values.items() if value is not None}
-        import OpenEXR
-
         header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
         OpenEXR.File(header, channels).write(str(scene / "frame.exr"))
 

@@ -17,6 +17,30 @@ def test_models_are_those_of_the_paper():
     assert (combined.has_direction, combined.default_cells) == (True, 400)
 
 
+TABLE_1 = {
+    "simplelens": ((2.0,), 100, 1),
+    "combined": ((2.0, 1.0), 400, 1),
+    "physicallens": ((2.5, 1.2), 4000, 3),
+    "volume": ((1.0,), 200, 3),
+    "stylized": ((1.5,), 200, 3),
+}
+"""LKS table 1: powers of the axes, number of samples, and colour channels."""
+
+
+@pytest.mark.parametrize("name", TABLE_1)
+def test_powers_cells_and_colours_are_those_of_table_1(name):
+    model = get_model(name)
+    assert (tuple(axis.power for axis in model.axes), model.default_cells, model.n_channels) == TABLE_1[name]
+
+
+@pytest.mark.parametrize("name", ["simplelens", "combined", "physicallens", "stylized"])
+def test_defocus_of_less_than_a_pixel_makes_no_difference(name):
+    grid = PsfGrid.of(get_model(name))
+    rest = [0.0] * (grid.model.n_axes - 1)
+    assert grid.find([0.02, *rest]) == grid.find([0.98, *rest])
+    assert grid.find([0.02, *rest]) != grid.find([2.5, *rest])
+
+
 def test_unknown_model_lists_the_known_ones():
     with pytest.raises(InvalidParameterError, match="'fisheye'.*combined, physicallens, simplelens, stylized, volume"):
         get_model("fisheye")
