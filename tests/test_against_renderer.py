@@ -26,7 +26,7 @@ MOST_LOSS = {
     "layers": 0.009,
     "samples": 0.036,
 }
-"""1 - SSIM, a fifth above what was measured; what falls back to no motion, one layer or raw samples lies far beyond."""
+"""1 - SSIM, about a fifth above what was measured; what falls back to no motion or to raw samples lies far beyond."""
 
 
 def run(*arguments):

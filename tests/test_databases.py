@@ -37,8 +37,8 @@ MEAN_SPARSITY = {
     "stylized": (0.42, 0.95),
     "volume": (0.008, None),
 }
-"""Largest, over the sampled spreadlets of large CoC and over the others, a tenth above what was measured: half of the
-simple lens's radii are below 30 px, and the fresh database's end at 12 px; small PSFs need more of their pixels."""
+"""Largest, over the sampled spreadlets of large CoC and over the others, at most a sixth above what was measured. Half
+of the simple lens's radii are below 30 px, the fresh database's end at 12 px; small PSFs need more of their pixels."""
 
 MAX_ENERGY_ERROR = 1e-4
 
