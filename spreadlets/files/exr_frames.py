@@ -294,12 +294,12 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
     InvalidFileError
         If the file cannot be written.
     """
-    from skimage.io import imsave
+    from PIL import Image as Picture
 
     encoded = display_encode(image_array("radiance", radiance)[..., :3])
     pixels = np.rint(255 * np.nan_to_num(encoded)).astype(np.uint8)
     with atomic_path(path, ".png") as temporary:
-        imsave(str(temporary), pixels, check_contrast=False)
+        Picture.fromarray(pixels).save(temporary)
 
 
 # --- Reading -------------------------------------------------------------------------------------------------------
