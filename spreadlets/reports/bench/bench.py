@@ -20,9 +20,9 @@ import numba
 from spreadlets import metrics
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.packages import optional_package
 from spreadlets.parallel import thread_count
 from spreadlets.psf.database import open_database
-from spreadlets.packages import optional_package
 from spreadlets.reports.bench.contenders import Contender, contenders, recorded
 from spreadlets.reports.bench.page import save_page, save_pictures
 from spreadlets.reports.bench.plot import save_plots
