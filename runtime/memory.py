@@ -22,11 +22,6 @@ def peak_rss_mb() -> float:
     -------
     float
         The peak of the resident set; NaN where the system does not tell.
-
-    Examples
-    --------
-    >>> peak_rss_mb() > 1.0
-    True
     """
     if resource is not None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * UNIT_BYTES / BYTES_PER_MB

@@ -24,11 +24,6 @@ def optional_package(name: str, extra: str, user: str) -> Any:
     ------
     MissingPackageError
         If it is not installed; the message says how to install it.
-
-    Examples
-    --------
-    >>> optional_package("math", "plot", "a plot").floor(2.5)
-    2
     """
     try:
         return import_module(name)
