@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint clean databases
+.PHONY: demo test docs clean databases
 
 demo: $(VENV)/.installed
 	$(BIN)/spreadlets demo -o demo_output
@@ -15,6 +15,10 @@ test: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m interpreted
+
+# The documentation, as a site in site/.
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --strict
 
 # The commands that regenerate the databases in psf_db/.
 databases: $(VENV)/.installed
@@ -30,12 +34,16 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[metrics]'
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
 
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo_output build dist
+	rm -rf $(VENV) demo_output build dist site

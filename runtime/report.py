@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from spreadlets.psf.database import Database
 from spreadlets.runtime.clock import Clock
+from spreadlets.runtime.memory import peak_rss_mb
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.runtime.splat.passes import Canvas
 
@@ -118,7 +118,7 @@ class Report(Record):
     @classmethod
     def of(cls, clock: Clock, plan: PlanFigures | dict[str, Any]) -> Report:
         """Return the report of a run that is over."""
-        return cls(clock.times(), clock.compile_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, plan)
+        return cls(clock.times(), clock.compile_s, peak_rss_mb(), plan)
 
 
 def plan_figures(tally: Tally, database: Database) -> PlanFigures:

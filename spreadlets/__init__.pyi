@@ -20,3 +20,4 @@ from .scene.camera import ThinLens as ThinLens
 from .scene.camera import read_camera as read_camera
 from .scene.frame import Frame as Frame
 from .scene.samples import SampleBuffer as SampleBuffer
+from .version import __version__ as __version__

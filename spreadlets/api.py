@@ -113,6 +113,22 @@ def synthesize(
         vignetting.
     InvalidDatabaseError
         If the database cannot be used.
+
+    Examples
+    --------
+    A lamp, 4 m away, seen by a camera that is focused at 2 m, becomes a disc; its light is kept:
+
+    >>> import numpy as np
+    >>> radiance = np.zeros((48, 48, 3))
+    >>> radiance[24, 24] = 100.0
+    >>> frame = sp.Frame(radiance, depth=np.full((48, 48), 4.0))
+    >>> camera = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=2, focus_distance_m=2)
+    >>> image = sp.synthesize(frame, camera, "simplelens")
+    >>> image.shape, round(float(image[..., 0].sum()))
+    ((48, 48, 4), 100)
+    >>> image, report = sp.synthesize(frame, camera, "simplelens", report=True)
+    >>> report.plan.cells_total, "motion" in report.plan.left_out
+    (100, True)
     """
     from spreadlets.runtime import render
     from spreadlets.runtime.options import Options
@@ -198,6 +214,26 @@ def reconstruct(
         range, or an optional package is missing.
     InvalidDatabaseError
         If the database cannot be used.
+
+    Examples
+    --------
+    The mean of each pixel's samples, the plain Monte Carlo image:
+
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> shape = (16, 16, 4)
+    >>> samples = sp.SampleBuffer(
+    ...     radiance=rng.random((*shape, 3)),
+    ...     depth=np.full(shape, 4.0),
+    ...     motion=np.zeros((*shape, 2)),
+    ...     lens_uv=rng.uniform(-0.7, 0.7, (*shape, 2)),
+    ...     time=np.zeros(shape),
+    ... )
+    >>> camera = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=2, focus_distance_m=2)
+    >>> mean = sp.reconstruct(samples, camera, method="mean")
+    >>> clean = sp.reconstruct(samples, camera)
+    >>> bool(clean[..., 0].std() < mean[..., 0].std())
+    True
     """
     from spreadlets.runtime import render
     from spreadlets.runtime.options import LAYERED_METHODS, METHODS, RECONSTRUCTION_METHODS, Options, check_method
@@ -308,6 +344,13 @@ def build_database(
         Build only the cells and directions that these frames use; needs the camera.
     camera : ThinLens, optional
         Lens and shutter for `frames`, and for models that depend on the camera.
+
+    Examples
+    --------
+    >>> sp.build_database("simplelens", "small.h5", samples=4, max_coc=4.0, jobs=1)
+    >>> with sp.open_database("small.h5") as database:
+    ...     database.n_cells
+    4
     """
     from spreadlets.precompute.build.build import build_database as build
     from spreadlets.precompute.build.build import build_grid

@@ -25,6 +25,10 @@ class InvalidParameterError(SpreadletsError):
     """An option or argument is out of its allowed range, or names something unknown."""
 
 
+class MissingPackageError(InvalidParameterError):
+    """Something was asked for that needs an optional package; the message says how to install it."""
+
+
 class BuildStoppedError(SpreadletsError):
     """A build stopped before its end: no room, a worker or the cluster lost, or another build at work.
 

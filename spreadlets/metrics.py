@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import gaussian_filter
 
 from spreadlets.arrays import FloatArray
-from spreadlets.errors import InvalidFrameError
+from spreadlets.errors import InvalidFrameError, MissingPackageError
+from spreadlets.packages import optional_package
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import check_finite, image_array
 
-SSIM_OPTIONS: dict[str, Any] = {
-    "gaussian_weights": True,
-    "sigma": 1.5,
-    "use_sample_covariance": False,
-    "data_range": 1.0,
-}
-"""The SSIM of Wang et al. 2004: an 11 x 11 Gaussian window over values in [0, 1]."""
-
+SSIM_SIGMA_PX = 1.5
 SSIM_WINDOW_PX = 11
-"""Side of that window (the Gaussian is cut at 3.5 sigma); a smaller image has no SSIM."""
+"""The SSIM of Wang et al. 2004: a Gaussian window of this deviation and side; a smaller image has no SSIM."""
+
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+"""Its constants for values in [0, 1], which keep dark and flat windows from dividing by zero."""
 
 RELMSE_EPSILON = 0.01
 """Added to the squared reference in relMSE, so that black pixels do not decide the figure."""
@@ -50,7 +49,15 @@ def ssim(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
 
     Notes
     -----
-    `skimage.metrics.structural_similarity` with `SSIM_OPTIONS`, mean over the three channels.
+    Wang et al. 2004, with population covariance, mean over the three channels; the value of scikit-image's
+    ``structural_similarity`` with ``gaussian_weights=True, use_sample_covariance=False, data_range=1``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> round(sp.metrics.ssim(image, reference), 4)
+    0.9889
     """
     return _ssim(*_colours(image, reference))
 
@@ -67,6 +74,13 @@ def psnr(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     ------
     InvalidFrameError
         If a shape is wrong, the sizes differ, or a value is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> round(sp.metrics.psnr(image, reference), 2)
+    18.49
     """
     return _psnr(*_colours(image, reference))
 
@@ -83,10 +97,19 @@ def flip(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     ------
     InvalidFrameError
         If a shape is wrong, the sizes differ, or a value is not finite.
+    MissingPackageError
+        If the package flip-evaluator is not installed (extra ``metrics``).
 
     Notes
     -----
     The flip-evaluator's default viewing distance, 67 px per degree.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> 0 < sp.metrics.flip(image, reference) < 1
+    True
     """
     return _flip(*_colours(image, reference))
 
@@ -103,6 +126,13 @@ def relmse(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     ------
     InvalidFrameError
         If a shape is wrong, the sizes differ, or a value is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> round(sp.metrics.relmse(image, reference), 4)
+    0.1538
     """
     return _relmse(*_colours(image, reference))
 
@@ -119,6 +149,13 @@ def mae(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     ------
     InvalidFrameError
         If a shape is wrong, the sizes differ, or a value is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> round(sp.metrics.mae(image, reference), 4)
+    0.2
     """
     return _mae(*_colours(image, reference))
 
@@ -135,17 +172,25 @@ def compare(image: npt.ArrayLike, reference: npt.ArrayLike) -> dict[str, float]:
     -------
     dict
         ``ssim``, ``psnr`` (dB; ``inf`` for equal images, which JSON cannot hold), ``flip``, ``relmse`` and ``mae``.
+        Without the package flip-evaluator (extra ``metrics``) ``flip`` is NaN, and a warning says so.
 
     Raises
     ------
     InvalidFrameError
         If a shape is wrong, the sizes differ, an image is too small, or a value is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image, reference = np.full((12, 12, 3), 0.7), np.full((12, 12, 3), 0.5)
+    >>> list(sp.metrics.compare(image, reference))
+    ['ssim', 'psnr', 'flip', 'relmse', 'mae']
     """
     pair = _colours(image, reference)
     return {
         "ssim": _ssim(*pair),
         "psnr": _psnr(*pair),
-        "flip": _flip(*pair),
+        "flip": _flip_if_installed(*pair),
         "relmse": _relmse(*pair),
         "mae": _mae(*pair),
     }
@@ -175,6 +220,14 @@ def psf_similarity(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> float:
     -----
     Both arrays are divided by the true PSF's peak (over all channels). The box of the pixels above 1e-4 of the peak
     grows on each side by the greater of 8 px and a quarter of that axis' length; the arrays count as zero outside.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> disc, wider = ((x**2 + y**2 <= radius**2) * 1.0 for radius in (5.0, 5.5))
+    >>> sp.metrics.psf_similarity(disc, disc), 0.5 < sp.metrics.psf_similarity(disc, wider) < 1
+    (1.0, True)
     """
     true, approximate = _psf_pair(psf, reconstruction)
     peak = true.max()
@@ -196,6 +249,14 @@ def psf_l1(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> float:
     ------
     InvalidFrameError
         If the shapes differ, a value is not finite, or the PSF's sum is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> disc, wider = ((x**2 + y**2 <= radius**2) * 1.0 for radius in (5.0, 5.5))
+    >>> round(sp.metrics.psf_l1(disc, wider), 3)
+    0.198
     """
     true, approximate = _psf_pair(psf, reconstruction)
     total = float(true.sum())
@@ -227,10 +288,25 @@ def _ssim(image: FloatArray, reference: FloatArray) -> float:
 
 def _structural_similarity(image: npt.NDArray[np.floating[Any]], reference: npt.NDArray[np.floating[Any]]) -> float:
     """Return the mean SSIM of two (H, W, C) arrays of values in [0, 1]."""
-    import skimage.metrics
+    x, y = np.asarray(image), np.asarray(reference)
+    # Gaussian means, variances and covariance of every pixel's window, channel by channel
+    mean_x, mean_y, mean_xx, mean_yy, mean_xy = (_window_mean(array) for array in (x, y, x * x, y * y, x * y))
+    variances = (mean_xx - mean_x * mean_x) + (mean_yy - mean_y * mean_y)
+    covariance = mean_xy - mean_x * mean_y
+    # Wang et al. 2004, Eq. 13
+    luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x**2 + mean_y**2 + SSIM_C1)
+    similarity = luminance * (2 * covariance + SSIM_C2) / (variances + SSIM_C2)
+    # Windows that reach over the border do not count
+    margin = SSIM_WINDOW_PX // 2
+    return float(similarity[margin:-margin, margin:-margin].mean(dtype=np.float64))
 
-    similarity: Any = skimage.metrics.structural_similarity
-    return float(similarity(image, reference, channel_axis=2, **SSIM_OPTIONS))
+
+def _window_mean(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+    """Return the weighted means of an (H, W, C) array over every pixel's window."""
+    means: npt.NDArray[np.floating[Any]] = gaussian_filter(
+        values, SSIM_SIGMA_PX, radius=SSIM_WINDOW_PX // 2, axes=(0, 1)
+    )
+    return means
 
 
 def _psnr(image: FloatArray, reference: FloatArray) -> float:
@@ -240,10 +316,18 @@ def _psnr(image: FloatArray, reference: FloatArray) -> float:
 
 
 def _flip(image: FloatArray, reference: FloatArray) -> float:
-    from flip_evaluator import evaluate
-
-    _, mean, _ = evaluate(display_encode(reference), display_encode(image), "LDR", applyMagma=False)
+    evaluator = optional_package("flip_evaluator", "metrics", "FLIP")
+    _, mean, _ = evaluator.evaluate(display_encode(reference), display_encode(image), "LDR", applyMagma=False)
     return float(mean)
+
+
+def _flip_if_installed(image: FloatArray, reference: FloatArray) -> float:
+    """Return FLIP, or NaN with a warning that says how to have it."""
+    try:
+        return _flip(image, reference)
+    except MissingPackageError as error:
+        warnings.warn(str(error), stacklevel=3)
+        return math.nan
 
 
 def _relmse(image: FloatArray, reference: FloatArray) -> float:

@@ -23,6 +23,11 @@ class Model:
     ----------
     samples : int, optional
         Number of cells to aim at.
+
+    Examples
+    --------
+    >>> sp.models.SimpleLens().options()  # nothing given: the model's own values
+    {}
     """
 
     name: ClassVar[str]
@@ -57,8 +62,7 @@ class SimpleLens(_Lens):
 
     Examples
     --------
-    >>> from spreadlets.models import SimpleLens
-    >>> SimpleLens(max_coc=64, blades=6).options()
+    >>> sp.models.SimpleLens(max_coc=64, blades=6).options()
     {'max_coc': 64, 'blades': 6}
     """
 
@@ -87,6 +91,11 @@ class Combined(SimpleLens):
     samples, max_coc, blades, blade_curvature, rotation, cats_eye, cats_eye_angle, squeeze, spherical_aberration, \
 obstruction
         As for `SimpleLens`.
+
+    Examples
+    --------
+    >>> sp.models.Combined(max_coc=64, max_motion=128, shutter_curve=(0, 1, 1, 0)).name
+    'combined'
     """
 
     name: ClassVar[str] = "combined"
@@ -109,6 +118,12 @@ class PhysicalLens(_Lens):
         Its focal length scales the prescription, its f-number sets the stop, its focus moves the sensor.
     width : int, optional
         Width of the frames to come, px.
+
+    Examples
+    --------
+    >>> camera = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2, focus_distance_m=3)
+    >>> sp.models.PhysicalLens(lens="double_gauss", camera=camera, width=1024).name
+    'physicallens'
     """
 
     name: ClassVar[str] = "physicallens"
@@ -140,6 +155,11 @@ class Volume(Model):
         Width of the frames to come, px.
     psf_radius : float, optional
         Radius of the PSFs, px.
+
+    Examples
+    --------
+    >>> sp.models.Volume(medium_density=0.9, albedo=(1, 1, 0.9)).options()
+    {'medium_density': 0.9, 'albedo': (1, 1, 0.9)}
     """
 
     name: ClassVar[str] = "volume"
@@ -165,6 +185,11 @@ class Stylized(_Lens):
         The PSF, a PNG file.
     colour_offset : float, optional
         Shift of red and blue, in radii of the PSF.
+
+    Examples
+    --------
+    >>> sp.models.Stylized(image="heart.png", colour_offset=0.06).options()
+    {'image': 'heart.png', 'colour_offset': 0.06}
     """
 
     name: ClassVar[str] = "stylized"
@@ -178,5 +203,11 @@ TYPES: dict[str, type[Model]] = {each.name: each for each in (SimpleLens, Combin
 
 
 def option_names(model: str) -> list[str]:
-    """Return the names of the options of a model's PSFs; none of a model that is unknown."""
+    """Return the names of the options of a model's PSFs; none of a model that is unknown.
+
+    Examples
+    --------
+    >>> sp.models.option_names("stylized")
+    ['image', 'colour_offset']
+    """
     return [each.name for each in fields(TYPES[model]) if each.name not in RANGES] if model in TYPES else []

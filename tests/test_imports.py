@@ -13,11 +13,11 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
-    {"errors", "arrays"},
-    {"compiled", "parallel"},
+    {"errors", "arrays", "version"},
+    {"compiled", "parallel", "packages"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
-    {"files", "precompute.trace", "runtime.clock", "runtime.label"},
+    {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},
     {"precompute.models", "runtime.splat", "runtime.integrate"},
     {"precompute.sparsify", "runtime.plan"},
     {"precompute.build", "runtime.composite", "runtime.report"},

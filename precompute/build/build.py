@@ -25,6 +25,7 @@ from spreadlets.precompute.build.workers import AGAIN, open_workers
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.version import __version__
 
 MAX_SAMPLES = 100_000
 
@@ -254,5 +255,5 @@ def _parameters(grid: PsfGrid, density: float, rays: int | None) -> dict[str, An
 
 
 def _versions() -> dict[str, Any]:
-    packages = ("spreadlets", "numpy", "scipy", "numba")
-    return {"algorithm_version": ALGORITHM_VERSION, "versions": {name: version(name) for name in packages}}
+    packages = {name: version(name) for name in ("numpy", "scipy", "numba")}
+    return {"algorithm_version": ALGORITHM_VERSION, "versions": {"spreadlets": __version__} | packages}

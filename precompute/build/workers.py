@@ -17,7 +17,8 @@ from typing import Any
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from spreadlets.errors import BuildStoppedError, InvalidParameterError, SpreadletsError
+from spreadlets.errors import BuildStoppedError, SpreadletsError
+from spreadlets.packages import optional_package
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, UnitResult, WorkUnit, build_unit
 
 CONNECT_S = 10.0
@@ -55,7 +56,7 @@ def open_workers(jobs: int, scheduler: str | None) -> Iterator[tuple[int, Comput
     ------
     BuildStoppedError
         If the scheduler does not answer; and while computing, if a worker or the cluster is lost.
-    InvalidParameterError
+    MissingPackageError
         If the packages for a cluster are missing.
     """
     if scheduler is None:
@@ -95,13 +96,9 @@ def _leave_with(parent: int) -> None:
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
     """Give a client of a Dask scheduler that has workers."""
-    try:
-        from dask import config
-        from dask.distributed import Client
+    connect = optional_package("distributed", "cluster", "a cluster").Client
+    from dask import config
 
-        connect: Any = Client  # it has no types
-    except ImportError as error:
-        raise InvalidParameterError("a cluster needs Dask: install spreadlets[cluster]") from error
     with _quiet("distributed", "tornado"), config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
         try:
             client = connect(address, timeout=CONNECT_S, set_as_default=False)

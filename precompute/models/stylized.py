@@ -13,10 +13,9 @@ import zlib
 from collections.abc import Mapping
 from typing import Any, BinaryIO
 
-import matplotlib.image
 import numpy as np
-from scipy.ndimage import map_coordinates
-from skimage.transform import resize
+from PIL import Image
+from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidFileError, InvalidParameterError
@@ -78,22 +77,18 @@ def _read_light(path: str) -> DoubleArray:
     try:
         with open(path, "rb") as file:
             _check_png(path, file)
-            pixels = np.asarray(matplotlib.image.imread(file, format="png"), np.float64)
+            pixels = _pixels(file)
     except InvalidFileError:
         raise
     except (OSError, ValueError, SyntaxError) as error:
         raise InvalidFileError(f"{path}: not a readable PNG file: {error}") from error
-    pixels = pixels if pixels.ndim == 3 else pixels[..., None]
-    n_colours = 3 if pixels.shape[2] >= 3 else 1
-    light = np.broadcast_to(_linear(pixels[..., :n_colours]), (*pixels.shape[:2], 3))
-    if pixels.shape[2] in (2, 4):
-        light = light * pixels[..., -1:]
+    light = _linear(pixels[..., :3]) * pixels[..., 3:]
     if not light.max() > 0.0:
         raise InvalidParameterError(f"{path}: the image holds no light: it is black or transparent everywhere")
     shrink = MAX_SIDE / max(light.shape[:2])
     if shrink < 1.0:
         size = [max(1, round(shrink * side)) for side in light.shape[:2]]
-        light = np.maximum(_resized(light, size), 0.0)
+        light = np.maximum(_reduced(light, size), 0.0)
     return np.asarray(light / light.max(), np.float64)
 
 
@@ -108,9 +103,21 @@ def _check_png(path: str, file: BinaryIO) -> None:
         raise InvalidFileError(f"{path}: has {width} x {height} px; at most {MAX_FILE_SIDE} x {MAX_FILE_SIDE} are read")
 
 
-def _resized(light: DoubleArray, size: list[int]) -> DoubleArray:
-    resized: DoubleArray = resize(light, (*size, 3), order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
-    return resized
+def _pixels(file: BinaryIO) -> DoubleArray:
+    """Return the red, green, blue and alpha of a PNG in [0, 1], (h, w, 4)."""
+    with Image.open(file, formats=["PNG"]) as image:
+        if not image.mode.startswith("I"):
+            return np.asarray(image.convert("RGBA"), np.float64) / 255.0
+        grey = np.asarray(image, np.float64) / 65535.0  # 16 bits
+    return np.stack([grey, grey, grey, np.ones_like(grey)], axis=-1)
+
+
+def _reduced(light: DoubleArray, size: list[int]) -> DoubleArray:
+    """Reduce an image (h, w, 3) to a size: a Gaussian takes out what it cannot show, then it is interpolated."""
+    shrink = np.array(light.shape) / (*size, 3)
+    smooth = gaussian_filter(light, 0.5 * np.maximum(shrink - 1.0, 0.0), mode="mirror")
+    reduced: DoubleArray = zoom(smooth, 1.0 / shrink, order=1, mode="mirror", grid_mode=True)
+    return reduced
 
 
 def _linear(display: DoubleArray) -> DoubleArray:

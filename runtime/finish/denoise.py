@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
 from spreadlets.arrays import Image
-from spreadlets.errors import InvalidParameterError
+from spreadlets.packages import optional_package
+from spreadlets.runtime.report import Report
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
-from spreadlets.runtime.report import Report
+
 
 SHARP_WINDOW = 5
 """Side of the window, px, in which the share of sharp samples is taken."""
@@ -40,26 +40,18 @@ def noise_deviation(image: npt.NDArray[np.floating]) -> float:
 
 def _bm3d(colour: Image) -> npt.NDArray[np.floating]:
     """Denoise linear colours (H, W, 3) with package bm3d, on log(1 + radiance)."""
-    package = _package("bm3d", "bm3d")
+    package = optional_package("bm3d", "bench", "method 'bm3d'")
     shown = np.log1p(np.maximum(colour, 0))
     return np.asarray(np.expm1(package.bm3d_rgb(shown, max(OUTLIERS * noise_deviation(shown), LEAST_SIGMA))))
 
 
 def _oidn(colour: Image) -> npt.NDArray[np.floating]:
     """Denoise linear colours (H, W, 3) with Open Image Denoise, package pyoidn, colour only."""
-    return np.asarray(_package("pyoidn", "oidn").denoise(np.ascontiguousarray(colour), hdr=True))
+    package = optional_package("pyoidn", "bench", "method 'oidn'")
+    return np.asarray(package.denoise(np.ascontiguousarray(colour), hdr=True))
 
 
 DENOISING: dict[str, Callable[[Image], npt.NDArray[np.floating]]] = {"bm3d": _bm3d, "oidn": _oidn}
-
-
-def _package(name: str, method: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise InvalidParameterError(
-            f"method {method!r} needs the package {name}, which is not installed: pip install 'spreadlets[bench]'"
-        ) from error
 
 
 def denoise_sharp(image: Image, sharp: Image, method: str) -> Image:
@@ -105,7 +97,7 @@ def denoise(image: Image, method: str, clock: Clock) -> tuple[Image, Report]:
 
     Raises
     ------
-    InvalidParameterError
+    MissingPackageError
         If the package is not installed.
     """
     with clock.step("composite"):

@@ -12,10 +12,11 @@ import cloup
 from spreadlets.cli import databases, render, reports
 from spreadlets.cli.status import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_INTERRUPTED
 from spreadlets.errors import BuildStoppedError, SpreadletsError
+from spreadlets.version import __version__
 
 
 @cloup.group(context_settings={"help_option_names": ["-h", "--help"]})
-@cloup.version_option(package_name="spreadlets")
+@cloup.version_option(__version__)
 def cli() -> None:
     """Depth of field and motion blur for rendered frames, by splatting sparse Laplacians of PSFs.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
 from typing import Any
 
 import click
@@ -21,28 +23,29 @@ def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[..., None]]:
     What is yielded takes the numbers of what is done and of all, and the seconds left, if the caller knows better than
     by counting.
     """
-    from datetime import timedelta
+    shown: Any = click.progressbar(
+        length=1,
+        label=title,
+        file=sys.stderr,
+        show_eta=False,
+        show_pos=True,
+        item_show_func=_time_left,
+        hidden=quiet,
+    )
+    with ExitStack() as stack:
 
-    from rich import progress as bar
-    from rich.console import Console
+        def report(done: int, total: int, *left_s: float | None) -> None:
+            if not shown.entered:
+                stack.enter_context(shown)
+            shown.length = total
+            left = next(iter(left_s), None)
+            shown.update(done - shown.pos, shown.eta if left is None else left)
 
-    columns = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
-    times = bar.TimeElapsedColumn(), bar.TextColumn("{task.fields[left]}")
-    shown = bar.Progress(*columns, *times, console=Console(stderr=True), disable=quiet)
-    task = shown.add_task(title, total=None, left="")
-
-    def report(done: int, total: int, *left_s: float | None) -> None:
-        shown.start()
-        shown.update(task, completed=done, total=total)
-        left = next(iter(left_s), None)
-        left = shown.tasks[0].time_remaining if left is None else left
-        shown.update(task, left="" if left is None else f"left {timedelta(seconds=round(left))}")
-
-    try:
         yield report
-    finally:
-        if shown.live.is_started:
-            shown.stop()
+
+
+def _time_left(seconds: float | None) -> str:
+    return f"left {timedelta(seconds=round(seconds))}" if seconds else ""
 
 
 def print_figures(figures: dict[str, Any], as_json: bool) -> None:

@@ -47,6 +47,21 @@ class DeepImage:
         Where the sample begins and ends, planar metres; equal for a surface.
     motion : ndarray of shape (N, 2), float32, or None
         px per frame, y down, forward.
+
+    Examples
+    --------
+    Glass in front of a wall in one pixel, the wall alone in the other:
+
+    >>> import numpy as np
+    >>> image = sp.DeepImage(
+    ...     counts=np.array([[2, 1]]),
+    ...     radiance=np.array([[0.1, 0.1, 0.1, 0.2], [1, 1, 1, 1], [1, 1, 1, 1]], np.float32),
+    ...     depth=np.array([1, 4, 4], np.float32),
+    ...     depth_back=np.array([1, 4, 4], np.float32),
+    ...     motion=None,
+    ... )
+    >>> image.layers()
+    Frame(1 x 2 px, 2 layers)
     """
 
     counts: npt.NDArray[np.int64]
@@ -249,6 +264,20 @@ def write_deep(path: PathLike, image: DeepImage) -> None:
     ------
     InvalidFileError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = sp.DeepImage(
+    ...     counts=np.array([[1, 1]]),
+    ...     radiance=np.ones((2, 4), np.float32),
+    ...     depth=np.ones(2, np.float32),
+    ...     depth_back=np.ones(2, np.float32),
+    ...     motion=None,
+    ... )
+    >>> sp.write_deep("deep.exr", image)
+    >>> sp.read_frame("deep.exr")
+    Frame(1 x 2 px, 1 layer)
     """
     values = {name: image.radiance[:, index] for index, name in enumerate("RGBA")}
     values |= {"Z": image.depth, "ZBack": image.depth_back}

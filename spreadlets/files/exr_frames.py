@@ -146,6 +146,16 @@ def read_frame(
     -----
     AmbiguousInputWarning
         If a convention had to be assumed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> frame = sp.Frame(np.ones((4, 6, 3)), depth=np.full((4, 6), 2.0), motion=np.ones((4, 6, 2)))
+    >>> sp.write_frame("frame.exr", frame)
+    >>> sp.read_frame("frame.exr").motion[0, 0].tolist()
+    [1.0, 1.0]
+    >>> sp.read_frame(["frame.exr", "frame.exr"])  # two files are two depth layers
+    Frame(4 x 6 px, 2 layers)
     """
     options = ReadOptions(
         preset=preset,
@@ -181,6 +191,13 @@ def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray
     ------
     InvalidFileError
         If the file cannot be read, or its colour channels are missing, ambiguous, or do not cover the image.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sp.write_image("image.exr", np.ones((4, 6, 3)))
+    >>> sp.read_image("image.exr").shape
+    (4, 6, 3)
     """
     image = merged(path, read_parts(path))
     colour = find_colour(image, ReadOptions(colour_layer=colour_layer))
@@ -216,6 +233,13 @@ def write_image(
         If the metadata has a reserved name or a value of another type.
     InvalidFileError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sp.write_image("image.exr", np.ones((4, 6, 4)), half=True, metadata={"artist": "me"})
+    >>> sp.read_image("image.exr").shape
+    (4, 6, 4)
     """
     image = image_array("radiance", radiance)
     channels = {name: image[..., index] for index, name in enumerate("RGBA"[: image.shape[2]])}
@@ -263,6 +287,14 @@ def write_frame(
         If the preset is unknown or needs something that is not given.
     InvalidFileError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> frame = sp.Frame(np.ones((4, 6, 3)), depth=np.full((4, 6), 2.0), motion=np.ones((4, 6, 2)))
+    >>> sp.write_frame("frame.exr", frame, preset="blender")
+    >>> sp.read_frame("frame.exr", preset="blender").depth[0, 0].item()
+    2.0
     """
     check_choice("preset", preset, PRESETS)
     if preset is not None and len(frame.layers) > 1:
@@ -293,13 +325,18 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
         If `radiance` is no such array.
     InvalidFileError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sp.write_png("image.png", np.full((4, 6, 3), 0.18))
     """
-    from skimage.io import imsave
+    from PIL import Image as Picture
 
     encoded = display_encode(image_array("radiance", radiance)[..., :3])
     pixels = np.rint(255 * np.nan_to_num(encoded)).astype(np.uint8)
     with atomic_path(path, ".png") as temporary:
-        imsave(str(temporary), pixels, check_contrast=False)
+        Picture.fromarray(pixels).save(temporary)
 
 
 # --- Reading -------------------------------------------------------------------------------------------------------

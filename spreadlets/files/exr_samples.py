@@ -67,6 +67,18 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
         If the file cannot be read, or a part lacks a channel.
     InvalidFrameError
         If the values are invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> shape = (4, 6, 2)
+    >>> pairs = np.zeros((*shape, 2))
+    >>> samples = sp.SampleBuffer(
+    ...     np.ones((*shape, 3)), depth=np.ones(shape), motion=pairs, lens_uv=pairs, time=np.zeros(shape)
+    ... )
+    >>> sp.write_samples("samples.exr", samples)
+    >>> sp.read_samples("samples.exr").n_samples
+    2
     """
     name = os.fspath(path).removesuffix(HEADER_SUFFIX)
     try:
@@ -91,6 +103,16 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
     ------
     InvalidFileError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> shape = (4, 6, 2)
+    >>> pairs = np.zeros((*shape, 2))
+    >>> samples = sp.SampleBuffer(
+    ...     np.ones((*shape, 3)), depth=np.ones(shape), motion=pairs, lens_uv=pairs, time=np.zeros(shape)
+    ... )
+    >>> sp.write_samples("samples.exr", samples)
     """
     opaque = bool(((samples.radiance[..., 3] == 1) | ~samples.valid).all())
     colours = "RGB" if opaque else "RGBA"

@@ -146,6 +146,19 @@ def write_tlfr(
         If the buffer has no `coc_radius` and there is no camera.
     InvalidFileError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> shape = (4, 6, 2)
+    >>> pairs = np.zeros((*shape, 2))
+    >>> samples = sp.SampleBuffer(
+    ...     np.ones((*shape, 3)), depth=np.ones(shape), motion=pairs, lens_uv=pairs, time=np.zeros(shape)
+    ... )
+    >>> camera = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=2, focus_distance_m=2)
+    >>> sp.write_tlfr("samples", samples, camera=camera)
+    >>> sp.read_samples("samples", camera=camera).n_samples
+    2
     """
     if not samples.valid.all():
         missing = int(np.count_nonzero(~samples.valid))

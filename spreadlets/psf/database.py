@@ -74,6 +74,12 @@ class Database:
         The points of each spreadlet in the file's point tables.
     seed_cell : ndarray of shape (n_cells,), int64
         The number of each cell that went into its seed: its own, unless the database was extended.
+
+    Examples
+    --------
+    >>> with sp.open_database("simplelens") as database:
+    ...     database.n_cells, database.n_channels, database.grid.model.name
+    (100, 1, 'simplelens')
     """
 
     def __init__(self, file: h5py.File, path: Path) -> None:
@@ -252,6 +258,14 @@ def open_database(name_or_path: str | os.PathLike[str]) -> Database:
     ------
     InvalidDatabaseError
         If there is no such file, or it is truncated, malformed, or of another version.
+
+    Examples
+    --------
+    >>> with sp.open_database("combined") as database:
+    ...     cell = int(database.find([10.0, 20.0]))
+    ...     psf = database.cell(cell).to_dense()
+    >>> round(float(psf.sum()), 3)
+    1.0
     """
     path = _resolve(name_or_path)
     file = open_checked(path)

@@ -13,11 +13,12 @@ import numpy.typing as npt
 from spreadlets.arrays import DoubleArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidParameterError
 from spreadlets.files.atomic import atomic_path
+from spreadlets.packages import optional_package
 from spreadlets.psf.database import Database
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
+    from matplotlib.figure import Figure, SubFigure
 
 
 DensePsf = Callable[[int, int, float], DoubleArray]
@@ -59,17 +60,18 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
     ------
     InvalidParameterError
         If the file cannot be written.
+    MissingPackageError
+        If matplotlib is not installed (extra ``plot``).
 
     Notes
     -----
     LKS Fig. 10 b and c, over all spreadlets that are stored, as in `Database.summary`. A cell is as bad as its worst
     direction.
     """
-    from matplotlib.figure import Figure
-
+    figures = optional_package("matplotlib.figure", "plot", "a plot")
     try:
         with atomic_path(path, ".png") as temporary:
-            figure = Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained")
+            figure: Figure = figures.Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained")
             above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 5)).ravel()
             _draw_statistics(database, above)
             _draw_worst(database, below, dense_psf)

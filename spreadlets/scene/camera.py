@@ -54,6 +54,14 @@ class ThinLens:
     ------
     InvalidCameraError
         If a value is not a number, not finite where it must be, or outside its range.
+
+    Examples
+    --------
+    >>> camera = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2, focus_distance_m=3)
+    >>> camera.aperture_diameter_m
+    0.025
+    >>> camera.coc_radius([1.5, 3.0, float("inf")], image_width=1920).round(2).tolist()
+    [-11.11, 0.0, 11.11]
     """
 
     focal_length_mm: float
@@ -158,6 +166,16 @@ def read_camera(path: str | os.PathLike[str]) -> ThinLens:
     InvalidCameraError
         If the file is missing, too large, not such JSON, lacks a key, or describes an impossible camera; the message
         starts with the path.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("camera.json").write_text(
+    ...     '{"focal_length_mm": 50, "sensor_width_mm": 36, "f_number": 2, "focus_distance_m": 3,'
+    ...     ' "shutter_open_close_frames": [-0.25, 0.25]}'
+    ... )
+    >>> sp.read_camera("camera.json").shutter_duration
+    0.5
     """
     try:
         return _camera_from_mapping(_read_object(Path(path)))

@@ -77,6 +77,18 @@ class Frame:
     -----
     Pixels with alpha 0 may carry any depth and motion: a bad depth becomes ``inf`` there and bad motion becomes zero.
     Contiguous float32 arrays are kept without a copy unless a pixel has to be mended.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> frame = sp.Frame(np.ones((4, 6, 3)), depth=np.full((4, 6), 2.0))
+    >>> frame
+    Frame(4 x 6 px, 1 layer)
+    >>> frame.radiance.shape  # alpha was added
+    (4, 6, 4)
+    >>> sp.Frame(np.ones((4, 6, 3)), depth=np.zeros((4, 6)))
+    Traceback (most recent call last):
+    spreadlets.errors.InvalidFrameError: depth is zero or negative at 24 of 24 pixels, first at (row 0, col 0); ...
     """
 
     def __init__(

@@ -77,6 +77,23 @@ class SampleBuffer:
         coordinate, offset or CoC radius, alpha outside [0, 1], a lens coordinate outside [-1, 1], or a depth that is
         NaN or <= 0. The message names the array, the first offending (row, col, sample), how many there are, and what
         is allowed.
+
+    Examples
+    --------
+    Two samples in each of 4 x 6 pixels:
+
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> shape = (4, 6, 2)
+    >>> samples = sp.SampleBuffer(
+    ...     radiance=np.ones((*shape, 3)),
+    ...     depth=np.full(shape, 2.0),
+    ...     motion=np.zeros((*shape, 2)),
+    ...     lens_uv=rng.uniform(-0.7, 0.7, (*shape, 2)),
+    ...     time=rng.uniform(-0.25, 0.25, shape),
+    ... )
+    >>> samples.shape, samples.n_samples, samples.take(1).n_samples
+    ((4, 6), 2, 1)
     """
 
     def __init__(

@@ -20,6 +20,7 @@ import numba
 from spreadlets import metrics
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.packages import optional_package
 from spreadlets.parallel import thread_count
 from spreadlets.psf.database import open_database
 from spreadlets.reports.bench.contenders import Contender, contenders, recorded
@@ -127,7 +128,11 @@ def run_bench(
     ------
     InvalidParameterError
         If there is no frame, or the folder cannot be written to.
+    MissingPackageError
+        If the packages for FLIP or plots are missing (extras ``metrics`` and ``plot``).
     """
+    optional_package("flip_evaluator", "bench", "a benchmark")
+    optional_package("matplotlib", "bench", "a benchmark")
     if not subjects:
         raise InvalidParameterError("there is no frame to run on: give --frame, --camera and --reference, or a folder")
     output = Path(folder)
