@@ -225,4 +225,5 @@ def _candidates(psf: DoubleArray, group: tuple[Symmetry, ...], terms: Terms, rng
     row, column = (offset + half).T
     importance = np.zeros_like(strength)
     importance[row, column] = strength[row, column]
-    return relax(importance, throw_darts(importance, terms.most, rng), RELAXATIONS) - half
+    relaxed: IntArray = relax(importance, throw_darts(importance, terms.most, rng), RELAXATIONS)
+    return np.asarray(relaxed - half, np.int64)
