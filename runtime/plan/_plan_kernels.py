@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 
 INVISIBLE = -1
@@ -12,7 +12,7 @@ SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 
 
-@kernel
+@helper(inline="always")
 def _scale_step(excess, steps_per_octave, n_scales):
     """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
     if not excess > 1.0:
@@ -22,7 +22,7 @@ def _scale_step(excess, steps_per_octave, n_scales):
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
-@kernel
+@helper(inline="always")
 def _same(coordinate, heading, coc, row, col):
     """Tell whether a pixel has the labels of the one to its left."""
     same = coc[row, col] == coc[row, col - 1]
