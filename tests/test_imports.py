@@ -24,7 +24,7 @@ ORDER = (
     {"runtime.finish"},
     {"runtime.render", "runtime.sheared"},
     {"api"},
-    {"reports"},
+    {"reports", "warmup"},
     {"cli"},
 )
 """The order of the tree, stated once: what stands in a row may import only from rows above it."""

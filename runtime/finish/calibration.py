@@ -75,7 +75,8 @@ def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.boo
     """
     total, count = np.zeros_like(image), np.zeros(image.shape[:2], np.float32)
     for number, sample in enumerate(radiance):
-        for_bands(_calibration_kernels.add_samples, len(count), sample, valid[:, :, number], total, count)
+        there = np.ascontiguousarray(valid[:, :, number])
+        for_bands(_calibration_kernels.add_samples, len(count), sample, there, total, count)
     bright = image[::BLOCK, ::BLOCK, :3].mean(axis=2)
     if not (bright > 0).any():
         return

@@ -13,7 +13,6 @@ from scipy.spatial import ConvexHull
 from spreadlets.psf.database import Database
 from spreadlets.psf.laplacian import solve_dirichlet
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan._plan_kernels import turned_points
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 
@@ -74,8 +73,10 @@ def variant_points(variants: list[Variant], database: Database, dense_psf: Dense
 
 def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
     """Return the points of a spreadlet, turned as the variant asks."""
-    turned, order = turned_points(spreadlet.offset_rc, variant.transpose, variant.flip_row, variant.flip_col)
-    return turned, spreadlet.value[order], spreadlet.direct
+    offset = spreadlet.offset_rc[:, ::-1] if variant.transpose else spreadlet.offset_rc
+    turned = np.where([variant.flip_row, variant.flip_col], -offset.astype(np.int32), offset)
+    order = np.argsort(turned[:, 0], kind="stable")
+    return turned[order], spreadlet.value[order], spreadlet.direct
 
 
 def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
