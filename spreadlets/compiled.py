@@ -30,6 +30,8 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 Kernel = Callable[..., Any]
 
 PACKAGE = Path(__file__).resolve().parent
+USUAL: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+"""What Numba is told of every kernel and helper; nothing calls them from C."""
 logger = logging.getLogger("spreadlets")
 _kernels: set[Kernel] = set()
 
@@ -37,7 +39,7 @@ _kernels: set[Kernel] = set()
 @overload
 def kernel(function: Kernel) -> Kernel: ...
 @overload
-def kernel(*, fastmath: bool | set[str] = ..., error_model: str = ...) -> Callable[[Kernel], Kernel]: ...
+def kernel(*, fastmath: bool | set[str] = ...) -> Callable[[Kernel], Kernel]: ...
 def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[[Kernel], Kernel]:
     """Compile a function when it is first called, keep it for later processes, and run it without the global lock.
 
@@ -46,12 +48,15 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     function : callable
         Written in what Numba compiles.
     **options
-        Numba's: ``fastmath``, liberties with floating-point numbers, by default none, so that results are exact;
-        ``error_model``, whether dividing by zero is an error ("python") or gives infinity ("numpy").
+        Numba's: ``fastmath``, liberties with floating-point numbers, by default none, so that results are exact.
+
+    Notes
+    -----
+    Dividing by zero gives infinity, as in NumPy: the checks that Python makes take time in each loop.
     """
     if function is None:
         return lambda given: kernel(given, **options)
-    compiled = numba.njit(nogil=True, cache="NUMBA_CACHE_DIR" in os.environ, **options)(function)
+    compiled = numba.njit(**USUAL, nogil=True, cache="NUMBA_CACHE_DIR" in os.environ, **options)(function)
     if not numba.config.DISABLE_JIT and "NUMBA_CACHE_DIR" not in os.environ:  # type: ignore[attr-defined]
         compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
     _kernels.add(compiled)
@@ -62,7 +67,7 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
 def helper(function: Kernel) -> Kernel: ...
 @overload
 def helper(
-    *, fastmath: bool | set[str] = ..., error_model: str = ..., inline: Literal["never", "always"] = ...
+    *, fastmath: bool | set[str] = ..., inline: Literal["never", "always"] = ...
 ) -> Callable[[Kernel], Kernel]: ...
 def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[[Kernel], Kernel]:
     """Compile a function that only kernels call: it is kept within them, and has no entrance from Python.
@@ -74,7 +79,7 @@ def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
         As for `kernel`; and ``inline``: "always" for what is called in one place, which is then compiled once.
     """
     compile_it: Callable[[Kernel], Kernel] = numba.njit(  # type: ignore[call-overload]
-        no_cpython_wrapper=True, no_cfunc_wrapper=True, **options
+        **USUAL, no_cpython_wrapper=True, **options
     )
     return compile_it if function is None else compile_it(function)
 
@@ -117,8 +122,8 @@ def _can_be_written(folder: Path) -> bool:
 
 @cache
 def _state_of_kernels() -> str:
-    """Return a digest of all files with kernels: what is kept is valid for this."""
-    digest = hashlib.sha256()
+    """Return a digest of all files with kernels, and of how they are compiled: what is kept is valid for this."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
     for folder, _, names in sorted(os.walk(PACKAGE, followlinks=True)):
         for name in sorted(names):
             if name.endswith("_kernels.py"):

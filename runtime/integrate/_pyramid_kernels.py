@@ -363,7 +363,7 @@ def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, 
         for k in range(first, last):
             while position <= 2 * k + 4:
                 i = _mirrored(position, height)[0]
-                row = rows[position % 8][:count]
+                row = rows[position % 8, :count]
                 own = _row(source, i, zeros[:0])
                 if image.shape[0] == 0:
                     _copy_row(row, own)
@@ -472,12 +472,12 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
             # Step 0: interpolate.
             while next_coarse <= (position + position % 2) // 2 + 1:
                 line = coarse[_mirrored(next_coarse, n_coarse)[0]][first_col:end_col]
-                _stretch_cols(stretched[next_coarse % 4][:count], line, taps, n_channels, scratch[1:4])
+                _stretch_cols(stretched[next_coarse % 4, :count], line, taps, n_channels, scratch[1:4])
                 next_coarse += 1
-            row = scratch[8 + position % 3][n_channels : n_channels + count]
+            row = scratch[8 + position % 3, n_channels : n_channels + count]
             _blend_rows(row, stretched, position, n_coarse, taps)
             if image.shape[0] > 0:
-                _add(row, image[position][begin : begin + count])
+                _add(row, image[position, begin : begin + count])
         for step in range(1, n_steps + 1):
             i, reach = position - step, n_steps - step
             if i < max(first_row - reach, 0) or i >= min(end_row + reach, height):
@@ -495,7 +495,7 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
                 at, to = (above, slot + i % 3, below, first - begin), (i, first, last - first)
                 known_at = (min(i, source.shape[0] - 1), first, min(known, last) - first)
                 _relax_row(out, to, scratch, at, source, known_at, weights[step - 1], n_channels)
-                largest = max(largest, _largest_magnitude(out[i][first:last]))
+                largest = max(largest, _largest_magnitude(out[i, first:last]))
     return largest
 
 
