@@ -119,6 +119,17 @@ def test_importing_the_package_loads_nothing_heavy():
     assert loaded.strip() == "[]"
 
 
+def test_a_usual_run_loads_only_what_it_needs():
+    """Half of what a run on a small frame takes is loading."""
+    code = (
+        "import sys, spreadlets.cli.main, spreadlets.api, spreadlets.files.exr_frames\n"
+        "unwanted = 'scipy.ndimage', 'scipy.spatial', 'scipy.linalg', 'matplotlib', 'skimage'\n"
+        "print([name for name in unwanted if name in sys.modules])"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
+
+
 def test_folders_of_the_users_own_do_not_stand_in_the_way(tmp_path):
     (tmp_path / "runtime").mkdir()
     (tmp_path / "runtime" / "__init__.py").write_text("raise ImportError('not ours')")

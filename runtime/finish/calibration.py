@@ -14,7 +14,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
@@ -106,4 +105,6 @@ def _gain(sums: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64
 
 
 def _blurred(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:
+    from scipy import ndimage
+
     return np.asarray(ndimage.gaussian_filter(planes, (width, width, 0), mode="reflect", truncate=3.0))
