@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 COVERAGE, COUNT, LAST = range(3)
 """What a layer's sums are measured by: the share that was seen; that plus the sums' own weight; their weight alone."""
@@ -32,7 +32,7 @@ def count_unseen(begin, end, padded, top, left, seen, kind, least, shape):
     return count
 
 
-@kernel
+@helper
 def _blend(out, red, green, blue, alpha, opaque):
     """Put a premultiplied colour behind a pixel."""
     left = np.float32(1.0) - out[3]
@@ -113,7 +113,7 @@ def pull(begin, end, fine, coarse):
                 coarse[row, col, c] = total
 
 
-@kernel
+@helper
 def _interpolate(coarse, row, col, c):
     """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one."""
     height, width = coarse.shape[:2]

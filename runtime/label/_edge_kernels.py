@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
-@kernel
+@helper(inline="always")
 def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
     """Find the surfaces on either side of a pixel, and return the share of the nearer one: 0 if there are none."""
     share = 0.0
@@ -36,7 +36,7 @@ def _blend_at(depth, radiance, scale, least_gap, flatness, row, col, near, far):
     return share
 
 
-@kernel
+@helper(inline="always")
 def _find_gaps(above, here, below, step, found):
     """Tell for each pixel of a row whether the surfaces on two opposite sides of it may lie a gap apart.
 

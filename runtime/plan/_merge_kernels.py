@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 LINEAR_END = np.float32(0.0031308)
 LINEAR_SLOPE = np.float32(12.92)
 """The linear part of the sRGB curve: where it ends, and how steep it is."""
 
 
-@kernel
+@helper(inline="always")
 def _display_slope(level):
     """Return the slope of the sRGB curve at a linear level; beyond 1, where the display clips, that at 1."""
     if level <= LINEAR_END:

@@ -257,7 +257,9 @@ def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.in
     place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
     for key in keys:
         for_bands(_plan_kernels.mark_keys, len(key), key, place)
-    return _plan_kernels.number_keys(place), place
+    used = np.flatnonzero(place == 0)
+    place[used] = np.arange(len(used))
+    return used, place
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:

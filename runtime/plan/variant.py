@@ -7,13 +7,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.spatial import ConvexHull
 
 from spreadlets.psf.database import Database
 from spreadlets.psf.laplacian import solve_dirichlet
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan._plan_kernels import turned_points
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 
@@ -74,8 +71,10 @@ def variant_points(variants: list[Variant], database: Database, dense_psf: Dense
 
 def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
     """Return the points of a spreadlet, turned as the variant asks."""
-    turned, order = turned_points(spreadlet.offset_rc, variant.transpose, variant.flip_row, variant.flip_col)
-    return turned, spreadlet.value[order], spreadlet.direct
+    offset = spreadlet.offset_rc[:, ::-1] if variant.transpose else spreadlet.offset_rc
+    turned = np.where([variant.flip_row, variant.flip_col], -offset.astype(np.int32), offset)
+    order = np.argsort(turned[:, 0], kind="stable")
+    return turned[order], spreadlet.value[order], spreadlet.direct
 
 
 def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
@@ -114,6 +113,9 @@ def in_full(spreadlet: Spreadlet) -> Spreadlet:
     """
     if spreadlet.direct:
         return spreadlet
+    # Imported here: most runs do without, and it takes a tenth of a second.
+    from scipy.spatial import ConvexHull
+
     half = np.asarray(spreadlet.extent)
     psf = np.zeros((*(2 * (half + FULL_MARGIN) + 1), spreadlet.n_channels))
     rows, cols = (spreadlet.offset_rc.astype(np.int64) + half + FULL_MARGIN).T
@@ -170,6 +172,8 @@ def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def _magnified(psf: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
     """Resample a centred PSF to a size larger by ``scale``, of equal energy."""
+    from scipy import ndimage
+
     half = [int(np.ceil((size // 2 + 1) * scale)) for size in psf.shape[:2]]
     grid = np.meshgrid(*(np.arange(-extent, extent + 1) / scale for extent in half), indexing="ij")
     centre = [size // 2 for size in psf.shape[:2]]
