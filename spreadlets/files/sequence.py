@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-from fileseq import FileSequence, FrameSet
 from fileseq.constants import PAD_STYLE_HASH1
 from fileseq.exceptions import MaxSizeException, ParseException
+from fileseq.filesequence import FileSequence
+from fileseq.frameset import FrameSet
 from fileseq.utils import pad
 
 from spreadlets.errors import InvalidDatabaseError, InvalidFileError, InvalidParameterError, SpreadletsError
