@@ -7,7 +7,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from fileseq.constants import PAD_STYLE_HASH1
 from fileseq.exceptions import MaxSizeException, ParseException
@@ -20,7 +20,8 @@ from spreadlets.errors import InvalidDatabaseError, InvalidFileError, InvalidPar
 COUNTER = re.compile(r"#+|@+|%(?:0\d+)?d|\$F\d*")
 """What stands for the frame's number: one ``#`` or ``@`` for each digit, or as in C or in Houdini."""
 
-NUMBER = re.compile(r"-?\d+")
+NAME = re.compile(f"[^{re.escape(os.sep + (os.altsep or ''))}]+")
+"""A folder's or a file's name in a path."""
 
 MAX_FRAMES = 1_000_000
 """Longest sequence, eleven hours at 24 frames a second: a slip of the keyboard should not fill memory."""
@@ -32,18 +33,6 @@ SAME_FOR_ALL_FRAMES = (InvalidParameterError, InvalidDatabaseError)
 """Errors that every other frame would have, too."""
 
 
-class _Counter(NamedTuple):
-    """A pattern taken apart: what stands before the frame's number and after it, and the number's digits."""
-
-    before: str
-    after: str
-    digits: int
-
-    def path(self, number: int) -> str:
-        """Return the path of a frame."""
-        return self.before + pad(number, self.digits) + self.after
-
-
 def is_pattern(path: str) -> bool:
     """Tell whether a path stands for a sequence: it has a counter, and is not the name of a file.
 
@@ -52,7 +41,7 @@ def is_pattern(path: str) -> bool:
     >>> is_pattern("shot.####.exr"), is_pattern("####_beauty.exr"), is_pattern("shot.exr")
     (True, True, False)
     """
-    return _counter(path) is not None
+    return bool(_counters(path))
 
 
 def numbered(pattern: str, number: int) -> str:
@@ -63,26 +52,26 @@ def numbered(pattern: str, number: int) -> str:
     >>> numbered("shot.####.exr", 7), numbered("shot.%d.exr", -3), numbered("shot.$F3.exr", 7)
     ('shot.0007.exr', 'shot.-3.exr', 'shot.007.exr')
     """
-    counter = _counter(pattern)
-    return pattern if counter is None else counter.path(number)
+    text, end = "", 0
+    for counter in _counters(pattern):
+        digits = FileSequence.getPaddingNum(counter[0], pad_style=PAD_STYLE_HASH1)
+        text += pattern[end : counter.start()] + pad(number, digits)
+        end = counter.end()
+    return text + pattern[end:]
 
 
-def _counter(path: str) -> _Counter | None:
-    """Return where a path's counter is, or None if it has none or is the name of a file.
+def _counters(path: str) -> list[re.Match[str]]:
+    """Return the counters of a path: the last in the file's name, and in the names of folders that do not exist.
 
-    The last in the file's name counts, what looks like another is a part of the name. One in a folder's name counts if
-    the file's name has none, and there is no folder of that very name.
+    What looks like another is a part of the name, and what is the name of a file or folder has none.
     """
     if os.path.exists(path):
-        return None
-    folder, name = os.path.split(path)
-    found = list(COUNTER.finditer(path, len(path) - len(name)))
-    if not found and folder and not os.path.isdir(folder):
-        found = list(COUNTER.finditer(path, 0, len(folder)))
-    if not found:
-        return None
-    digits = FileSequence.getPaddingNum(found[-1][0], pad_style=PAD_STYLE_HASH1)
-    return _Counter(path[: found[-1].start()], path[found[-1].end() :], digits)
+        return []
+    folder = os.path.dirname(path)
+    while folder and not os.path.isdir(folder):
+        folder = os.path.dirname(folder)
+    names = NAME.finditer(path, len(folder))
+    return [each for name in names for each in list(COUNTER.finditer(path, *name.span()))[-1:]]
 
 
 def parse_frames(text: str) -> list[int]:
@@ -123,15 +112,15 @@ def parse_frames(text: str) -> list[int]:
 
 def existing_frames(pattern: str) -> list[int]:
     """Return the numbers of a pattern's files that exist, ascending."""
-    counter = _counter(pattern)
-    if counter is None:
-        return []
-    numbers = []
-    for path in glob.glob(glob.escape(counter.before) + "*" + glob.escape(counter.after)):
-        digits = path[len(counter.before) : len(path) - len(counter.after)]
-        if NUMBER.fullmatch(digits) and counter.path(int(digits)) == path:
-            numbers.append(int(digits))
-    return sorted(numbers)
+    ends = [(counter.start(), counter.end()) for counter in _counters(pattern)]
+    begins = [0, *(end for _, end in ends)]
+    texts = [
+        pattern[begin:end] for begin, end in zip(begins, [*(start for start, _ in ends), len(pattern)], strict=True)
+    ]
+    found = re.compile(r"(-?\d+)".join(map(re.escape, texts)))
+    matches = map(found.fullmatch, glob.glob("*".join(map(glob.escape, texts))))
+    numbers = {int(match[1]) for match in matches if match and len(match.groups())}
+    return sorted(number for number in numbers if os.path.exists(numbered(pattern, number)))
 
 
 def sequence_frames(

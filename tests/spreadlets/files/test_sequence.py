@@ -32,7 +32,7 @@ def touch(folder, *names):
         ("####.exr", 7, "0007.exr"),
         ("####_beauty_v2.exr", 7, "0007_beauty_v2.exr"),
         ("shot#2_v1.####.exr", 7, "shot#2_v1.0007.exr"),
-        ("job#1/frame.####.exr", 7, "job#1/frame.0007.exr"),
+        ("shot_##/frame.####.exr", 7, "shot_07/frame.0007.exr"),
         ("frame.@@@.exr", 7, "frame.007.exr"),
         ("frame.$F4.exr", 7, "frame.0007.exr"),
         ("frame.$F.exr", 7, "frame.7.exr"),
@@ -54,6 +54,7 @@ def test_a_folder_of_a_patterns_name_is_itself(tmp_path):
     assert numbered(pattern, 7) == str(tmp_path / "take72" / "out.exr")
     (tmp_path / "take#2").mkdir()
     assert not is_pattern(pattern)
+    assert numbered(str(tmp_path / "take#2" / "out.##.exr"), 7) == str(tmp_path / "take#2" / "out.07.exr")
 
 
 @pytest.mark.parametrize(
@@ -86,6 +87,8 @@ def test_existing_frames_are_found_by_their_digits(tmp_path):
     assert existing_frames(str(tmp_path / "h.####.exr")) == [-1, 0]
     touch(tmp_path, "[a]1/f.exr", "[a]2/f.exr")
     assert existing_frames(str(tmp_path / "[a]#" / "f.exr")) == [1, 2]
+    touch(tmp_path, "shot1/1.exr", "shot2/3.exr")
+    assert existing_frames(str(tmp_path / "shot#" / "#.exr")) == [1]
 
 
 def test_the_frames_of_a_sequence(tmp_path):
