@@ -370,7 +370,7 @@ def build_database(
     if frames is not None and camera is not None:
         from spreadlets.runtime.plan.plan import needed_spreadlets
 
-        of_build = ("density", "rays", "jobs", "scheduler", "seed", "extend", "progress", "log")
+        of_build = ("density", "sparsifier", "rays", "jobs", "scheduler", "seed", "extend", "progress", "log")
         settings = {name: value for name, value in options.items() if name not in of_build}
         grid = build_grid(name, path, extend, **settings)
         options["only"] = set().union(*(needed_spreadlets(frame, camera, grid) for frame in frames))

@@ -8,7 +8,7 @@ import pytest
 
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
 from spreadlets.precompute.models.registry import trace_psf
-from spreadlets.precompute.sparsify.sparsify import split_spike
+from spreadlets.precompute.sparsify.preparation import split_spike
 from spreadlets.psf.database import open_database
 
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))

@@ -23,6 +23,7 @@ from spreadlets.precompute.build.progress import BuildProgress, Progress
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
 from spreadlets.precompute.build.workers import AGAIN, open_workers
 from spreadlets.precompute.models.registry import REGISTRY
+from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, check_sparsifier
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.version import __version__
@@ -38,6 +39,7 @@ def build_database(
     max_coc: float | None = None,
     max_motion: float | None = None,
     density: float | None = None,
+    sparsifier: str | None = None,
     rays: int | None = None,
     only: Iterable[tuple[int, int]] | None = None,
     jobs: int | None = None,
@@ -63,6 +65,9 @@ def build_database(
         Range of the CoC radius and of the motion over the shutter, px; the defaults are the model's own.
     density : float, optional
         Operating point: 0.5, 1 (the default) or 2 times the usual number of points (LKS Fig. 10 d).
+    sparsifier : str, optional
+        ``"fit"`` (the default), or ``"lks"``: dart throwing, Lloyd relaxation, Voronoi collapse and annealing as
+        published (LKS section 5.5), see `precompute.sparsify.sparsify.SPARSIFIERS`.
     rays : int, optional
         Ray budget for each PSF; the default is the tracer's own.
     only : iterable of (int, int), optional
@@ -97,6 +102,8 @@ def build_database(
     begin = time.perf_counter()
     target = Path(path)
     _check_arguments(samples, density, rays, jobs, seed)
+    if sparsifier is not None:
+        check_sparsifier(sparsifier)
     ranges = {"samples": samples, "max_coc": max_coc, "max_motion": max_motion}
     grid = build_grid(model, target, extend, **ranges, **options)
     with ExitStack() as stack:
@@ -104,19 +111,19 @@ def build_database(
         kept = Kept()
         if extend:
             kept = stack.enter_context(Kept.of(target, grid, density))
-            density, rays, seed = check_extension(kept, density, rays, seed)
-        density = density or 1.0
+            density, sparsifier, rays, seed = check_extension(kept, density, sparsifier, rays, seed)
+        density, sparsifier = density or 1.0, sparsifier or DEFAULT_SPARSIFIER
         wanted = _wanted_directions(grid, None if only is None else {*only, *kept.places()})
         missing = [
             tuple(number for number in numbers if (cell, number) not in kept) for cell, numbers in enumerate(wanted)
         ]
         seed_cell = kept.seed_cells(grid)
         tasks = [
-            CellTask(grid, cell, numbers, density, rays, seed, int(seed_cell[cell]))
+            CellTask(grid, cell, numbers, density, rays, seed, int(seed_cell[cell]), sparsifier)
             for cell, numbers in enumerate(missing)
         ]
         shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
-        provenance = {"seed": seed, "parameters": _parameters(grid, density, rays)} | _versions()
+        provenance = {"seed": seed, "parameters": _parameters(grid, density, sparsifier, rays)} | _versions()
         provenance["build_s"] = time.perf_counter() - begin + kept.build_s
         cells = (_cell(task, parts, kept) for task in tasks)
         try:
@@ -243,11 +250,12 @@ def _cell(task: CellTask, parts: Parts, kept: Kept) -> list[CellRecord]:
     return [built.get(number) or absent_record(task.grid, task.cell, number) for number in range(count)]
 
 
-def _parameters(grid: PsfGrid, density: float, rays: int | None) -> dict[str, Any]:
+def _parameters(grid: PsfGrid, density: float, sparsifier: str, rays: int | None) -> dict[str, Any]:
     return {
         "samples": grid.n_cells,
         "shape": list(grid.shape),
         "density": density,
+        "sparsifier": sparsifier,
         "rays": rays,
         "maximum": {axis.name: axis.maximum for axis in grid.model.axes},
         "power": {axis.name: axis.power for axis in grid.model.axes},

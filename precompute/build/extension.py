@@ -181,14 +181,16 @@ def _same_directions(old: npt.NDArray[np.float64], new: npt.NDArray[np.float64])
     return len(old) == len(new) and bool(np.abs(old - new).max() <= ANGLE_TOLERANCE)
 
 
-def check_extension(kept: Kept, density: float | None, rays: int | None, seed: int) -> tuple[float, int | None, int]:
-    """Return density, rays and seed of an extended database: what is not given is that of the old one.
+def check_extension(
+    kept: Kept, density: float | None, sparsifier: str | None, rays: int | None, seed: int
+) -> tuple[float, str, int | None, int]:
+    """Return density, sparsifier, rays and seed of an extended database: what is not given is that of the old one.
 
     Raises
     ------
     InvalidParameterError
-        If the old one was built otherwise: by another version of the algorithm, with other rays or another seed, or
-        with more points.
+        If the old one was built otherwise: by another version of the algorithm, with another sparsifier, other rays or
+        another seed, or with more points.
     """
     assert kept.database is not None  # only called for one that is extended
     provenance, path = kept.database.provenance, kept.database.path
@@ -198,10 +200,15 @@ def check_extension(kept: Kept, density: float | None, rays: int | None, seed: i
             f"{path} was built by version {provenance.get('algorithm_version')} of the algorithm, this is version "
             f"{ALGORITHM_VERSION}: build it anew"
         )
+    if sparsifier not in (None, stored["sparsifier"]):
+        raise InvalidParameterError(
+            f"{path} was built with the sparsifier {stored['sparsifier']!r}: an extension keeps it, it cannot be "
+            f"{sparsifier!r}"
+        )
     if rays not in (None, stored["rays"]) or seed not in (0, provenance["seed"]):
         raise InvalidParameterError(
             f"{path} was built with rays {stored['rays']} and seed {provenance['seed']}: an extension keeps them"
         )
     if density is not None and density < stored["density"]:
         raise InvalidParameterError(f"{path} has density {stored['density']:g}: an extension cannot thin it out")
-    return density or stored["density"], stored["rays"], provenance["seed"]
+    return density or stored["density"], stored["sparsifier"], stored["rays"], provenance["seed"]

@@ -14,7 +14,7 @@ from spreadlets.errors import InvalidDatabaseError
 from spreadlets.precompute.build.progress import Progress
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, pose_seed, single_threaded, total_variation
 from spreadlets.precompute.models.registry import trace_psf
-from spreadlets.precompute.sparsify.sparsify import measure_spreadlet
+from spreadlets.precompute.sparsify.measurement import measure_spreadlet
 from spreadlets.psf.database import Database
 from spreadlets.psf.database_file import refusing
 from spreadlets.psf.model import PsfModel

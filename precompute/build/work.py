@@ -22,7 +22,7 @@ from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import PsfGrid, PsfModel
 
-ALGORITHM_VERSION = 3
+ALGORITHM_VERSION = 4
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 UNITS_PER_WORKER = 32
@@ -49,6 +49,7 @@ class CellTask(NamedTuple):
     rays: int | None
     seed: int
     seed_cell: int
+    sparsifier: str
 
 
 class WorkUnit(NamedTuple):
@@ -68,6 +69,8 @@ class WorkUnit(NamedTuple):
         As for the build.
     seed_cell : int
         The cell's number in the build that first had it: a part of the seed.
+    sparsifier : str
+        As for the build.
     cost : float
         Expected time, in a unit of its own.
     """
@@ -81,6 +84,7 @@ class WorkUnit(NamedTuple):
     rays: int | None
     seed: int
     seed_cell: int
+    sparsifier: str
     cost: float
 
 
@@ -126,7 +130,7 @@ def _build_record(unit: WorkUnit, number: int, direction: float, side: int) -> C
         rays=unit.rays,
         seed=seed,
     )
-    spreadlet, statistics = sparsify(psf, density=unit.density, seed=seed)
+    spreadlet, statistics = sparsify(psf, density=unit.density, seed=seed, sparsifier=unit.sparsifier)
     return CellRecord(direction, spreadlet, {**statistics, "total_variation": total_variation(psf)})
 
 
@@ -186,5 +190,5 @@ def _units(task: CellTask, cost: float, share: float) -> Iterator[WorkUnit]:
     half_width, box = grid.direction_half_width(cell), grid.box(cell)
     for some in np.array_split(np.arange(len(poses)), n_units):
         chosen = tuple(poses[index] for index in some)
-        options = task.density, task.rays, task.seed, task.seed_cell
+        options = task.density, task.rays, task.seed, task.seed_cell, task.sparsifier
         yield WorkUnit(grid.model, box, cell, chosen, half_width, *options, cost * len(chosen))

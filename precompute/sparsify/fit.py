@@ -66,11 +66,9 @@ class Equations:
 
     def free_inverse(self) -> DoubleArray:
         """Return ``Z (Z' A Z)^-1 Z'``, Z spanning the free subspace: how the minimum answers to a change of b."""
-        n_points = len(self.rhs)
         projected = project(self.gram, self.basis)
-        rounding = ROUNDING * float(np.abs(self.gram).max())
-        scale = max(float(np.trace(projected)) / n_points, rounding)
-        projected[np.diag_indices(n_points)] += RIDGE * scale + rounding
+        scale, weight = ridge(self.gram, projected)
+        projected[np.diag_indices(len(projected))] += weight
         # On the span of Q any positive definite stand-in will do; it is taken off again.
         factor, failure = scipy.linalg.lapack.dpotrf(projected + scale * self.basis @ self.basis.T, lower=1)
         if failure:
@@ -213,6 +211,13 @@ def orthonormal_constraints(matrix: DoubleArray, target: DoubleArray) -> tuple[D
 def _powers(coordinate: DoubleArray) -> DoubleArray:
     """Evaluate the monomials of `MOMENT_EXPONENTS` at coordinates (..., 2) as (6, ...)."""
     return np.stack([coordinate[..., 0] ** a * coordinate[..., 1] ** b for a, b in MOMENT_EXPONENTS])
+
+
+def ridge(gram: DoubleArray, projected: DoubleArray) -> tuple[float, float]:
+    """Return the mean diagonal entry of a form restricted to its free subspace, and the weight of squared values."""
+    rounding = ROUNDING * float(np.abs(gram).max())
+    scale = max(float(np.trace(projected)) / len(projected), rounding)
+    return scale, RIDGE * scale + rounding
 
 
 def project(matrix: DoubleArray, basis: DoubleArray) -> DoubleArray:

@@ -1,202 +1,183 @@
-"""Simulated annealing of the points' positions, judged by the error that the constrained fit would leave.
+"""Simulated annealing of fitted points among candidates, judged by the error that the constrained fit would leave.
 
-The move of one of n points changes the fit's equations by a matrix of rank 2. With the inverse S of the equations at
-hand, dropping point j costs ``v_j^2 / S_jj``, v being the values, and the new point gains ``r^2 / z``, r being what is
-left of its equation and z the Schur complement: O(n^2) operations for each proposal.
+Moving one of n points changes the fit's equations by a matrix of rank 2. With the inverse S of the equations at hand,
+dropping point j costs ``v_j^2 / S_jj``, v being the values, and the new point gains ``r^2 / z``, r being what is left of
+its equation and z the Schur complement: O(n^2) operations for each proposal.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from spreadlets.arrays import DoubleArray, IntArray
-from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.sparsify.annealing import N_STEPS, propose
-from spreadlets.precompute.sparsify.fit import RIDGE, moment_constraints, orthonormal_constraints, project
-from spreadlets.precompute.sparsify.lloyd import merge
-from spreadlets.psf.laplacian import lattice_biharmonic, solve_free_space
+from spreadlets.precompute.sparsify.annealing import MOVED_FRACTION, N_STEPS
+from spreadlets.precompute.sparsify.fit import Equations, ridge
 
 INITIAL_TEMPERATURE = 1e-4
-"""Relative rise of the root of the squared error that is accepted with probability 1/e at first; it falls linearly to
-zero. A move of one point changes the error that much less than under Voronoi sums, as all values answer to it."""
+"""Relative rise of the root of the error that is accepted with probability 1/e at first; it falls linearly to zero. A
+move of one point changes the error that much less than under Voronoi sums, as all values answer to it."""
 
 REFRESH_MOVES = 64
 """Moves after which the inverse is computed anew: updates accumulate rounding."""
 
 
-class Field(NamedTuple):
-    """The fit's equations for a point at any pixel of the window."""
-
-    biharmonic: DoubleArray
-    """The lattice biharmonic Green's function by row and column distance."""
-    moments: DoubleArray
-    """The monomials by which the constraints weigh the values, shape (H, W, 6)."""
-    potential: DoubleArray
-    """The PSF's potential, the right-hand side, shape (H, W, C)."""
-    fixed: DoubleArray
-    """The PSF's moments, shape (6, C)."""
-    energy: float
-    """Sum of the squared PSF: the squared error without any point."""
-
-
 class Fit(NamedTuple):
-    """The best values of some points; `_move` updates the arrays in place."""
+    """The best values of some candidates; `_move` updates the arrays in place."""
 
-    point_rc: IntArray
+    ridge: float
+    """Weight of the squared values."""
+
+    index: IntArray
+    """The candidates that are points, shape (n,)."""
     inverse: DoubleArray
-    """Inverse of the equations of values and Lagrange multipliers, shape (n + 6, n + 6)."""
+    """Inverse of the equations of values and Lagrange multipliers, shape (n + k, n + k)."""
     solution: DoubleArray
-    """Values, then multipliers, shape (n + 6, C)."""
+    """Values, then multipliers, shape (n + k, C)."""
 
 
 class Proposal(NamedTuple):
     """The move of one point, and what the fit becomes."""
 
     point: int
-    target: IntArray
+    target: int
     column: DoubleArray
     """The inverse's answer to the new point's equation once the old one is gone, -1 at the point itself."""
     schur: float
     residual: DoubleArray
     """What is left of the new point's equation, shape (C,)."""
     rise: float
-    """Of the squared error over the plane, summed over the channels."""
+    """Of the form, summed over the channels."""
 
 
 def anneal_fitted(
-    psf: DoubleArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
-) -> tuple[IntArray, float]:
-    """Move points at random, keeping moves that lower the error that `precompute.sparsify.fit.fit_values` would leave.
+    equations: Equations,
+    neighbours: Sequence[IntArray],
+    index: IntArray,
+    rng: np.random.Generator,
+    n_steps: int = N_STEPS,
+) -> IntArray:
+    """Move points to neighbouring candidates at random, keeping moves that lower the error that the fit leaves.
 
     Parameters
     ----------
-    psf : ndarray of shape (H, W, C), float64
-        PSF, centred, odd sizes, on a window on whose borders it is zero.
-    point_rc : ndarray of shape (n, 2), int64
-        Points inside the window.
+    equations : Equations
+        The quadratic form of all m candidates.
+    neighbours : sequence of ndarray of int64
+        For each candidate those that a point may move to from it in one step, see `candidates_near`.
+    index : ndarray of shape (n,), int64
+        The candidates that are points.
     rng : numpy.random.Generator
         Source of all randomness.
     n_steps : int
-        Number of proposals.
+        Number of steps, in each of which `MOVED_FRACTION` of the points try to move.
 
     Returns
     -------
-    point_rc : ndarray of shape (m, 2), int64
-        The best set of points that was met, in row-major order: as many as there were distinct ones.
-    error : float
-        Squared error of their fit over the plane, summed over the channels.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the points are too few or too aligned to carry the moments.
+    ndarray of shape (n,), int64
+        The best points that were met, ascending.
 
     Notes
     -----
     The schedule is that of LKS section 5.5, save that no point moves onto another and that each move of a step is
     judged by itself.
     """
-    field = _field(psf)
-    points = merge(point_rc)
-    ridge = _ridge(field, points)
-    fit, error = _fitted(field, points, ridge)
-    best, least = points, error
+    if len(equations.subset(index).fixed) < len(equations.fixed):
+        # On a conic some moments are met by luck, which a move would end.
+        return np.sort(index)
+    _, weight = ridge(equations.gram, equations.gram)
+    fit, error = _fitted(equations, index, weight)
+    best, least, start = fit.index.copy(), error, error
+    occupied = np.zeros(len(neighbours), np.bool_)
+    occupied[index] = True
     n_moves = 0
     for step in range(n_steps):
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
-        for index, target in _moves(fit.point_rc, psf.shape, rng):
-            proposal = _judged(field, fit, index, target, ridge)
+        for point in rng.choice(len(index), size=max(1, round(MOVED_FRACTION * len(index))), replace=False):
+            free = neighbours[fit.index[point]]
+            free = free[~occupied[free]]
+            # Rounding may leave nothing where the constraints alone fix a value: such a point stays.
+            if len(free) == 0 or fit.inverse[point, point] <= 0.0:
+                continue
+            proposal = _judged(equations, fit, int(point), int(rng.choice(free)))
             if proposal.rise >= 0.0 and rng.random() >= np.exp(-proposal.rise / (2.0 * temperature * error)):
                 continue
+            occupied[[fit.index[point], proposal.target]] = False, True
             _move(fit, proposal)
             error += proposal.rise
             n_moves += 1
             if n_moves % REFRESH_MOVES == 0:
-                fit, error = _fitted(field, fit.point_rc, ridge)
+                fit, error = _fitted(equations, fit.index, weight)
         if error < least:
-            best, least = fit.point_rc.copy(), error
-    points = merge(best)
-    return points, _fitted(field, points, ridge)[1]
+            best, least = fit.index.copy(), error
+    best = np.sort(best)
+    return best if _fitted(equations, best, weight)[1] < start else np.sort(index)
 
 
-def _field(psf: DoubleArray) -> Field:
-    half = np.asarray(psf.shape[:2]) // 2
-    offset = np.argwhere(np.ones(psf.shape[:2], dtype=np.bool_)) - half
-    matrix, fixed = moment_constraints(psf, offset)
-    moments = matrix.T.reshape(*psf.shape[:2], -1)
-    table = lattice_biharmonic(max(psf.shape[:2]))
-    return Field(table, np.ascontiguousarray(moments), solve_free_space(psf), fixed, float((psf**2).sum()))
+def candidates_near(members: IntArray) -> list[IntArray]:
+    """Return for each orbit the others that have a pixel next to its first one, across corners too.
+
+    Parameters
+    ----------
+    members : ndarray of shape (m, g, 2), int64
+        The orbits, as `precompute.sparsify.symmetry.orbits` gives them.
+
+    Returns
+    -------
+    list of ndarray of int64, ascending
+    """
+    # A border wide enough for every step.
+    origin = members.min(axis=(0, 1)) - 1
+    place = np.full(tuple(members.max(axis=(0, 1)) - origin + 2), -1, np.int64)
+    row, column = (members - origin).reshape(-1, 2).T
+    place[row, column] = np.repeat(np.arange(len(members)), members.shape[1])
+    near = []
+    for orbit, (r, c) in enumerate(members[:, 0] - origin):
+        around = np.unique(place[r - 1 : r + 2, c - 1 : c + 2])
+        near.append(around[(around >= 0) & (around != orbit)])
+    return near
 
 
-def _gram(field: Field, first: IntArray, second: IntArray) -> DoubleArray:
-    distance = np.abs(first[:, None, :] - second[None, :, :])
-    return np.asarray(field.biharmonic[distance[..., 0], distance[..., 1]])
-
-
-def _ridge(field: Field, points: IntArray) -> float:
-    """Return the weight of the squared values, that of `precompute.sparsify.fit`."""
-    basis, _ = orthonormal_constraints(field.moments[points[:, 0], points[:, 1]].T, field.fixed)
-    return RIDGE * float(np.trace(project(_gram(field, points, points), basis))) / len(points)
-
-
-def _fitted(field: Field, points: IntArray, ridge: float) -> tuple[Fit, float]:
-    """Solve the equations of some points from scratch; return the fit and its squared error."""
-    moments = field.moments[points[:, 0], points[:, 1]]
-    gram = _gram(field, points, points) + ridge * np.eye(len(points))
-    matrix = np.block([[gram, moments], [moments.T, np.zeros((moments.shape[1],) * 2)]])
-    try:
-        inverse = np.linalg.inv(matrix)
-    except np.linalg.LinAlgError:
-        raise InvalidParameterError(
-            f"{len(points)} points cannot carry the PSF's moments: use more, and not all on a line or a conic"
-        ) from None
-    rhs = np.concatenate([field.potential[points[:, 0], points[:, 1]], field.fixed])
+def _fitted(equations: Equations, index: IntArray, weight: float) -> tuple[Fit, float]:
+    """Solve the equations of some candidates from scratch; return the fit and its error."""
+    basis = equations.basis[index]
+    gram = equations.gram[np.ix_(index, index)] + weight * np.eye(len(index))
+    matrix = np.block([[gram, basis], [basis.T, np.zeros((basis.shape[1],) * 2)]])
+    inverse = np.linalg.inv(matrix)
+    rhs = np.concatenate([equations.rhs[index], equations.fixed])
     solution = inverse @ rhs
-    # At the minimum v'Av - 2 b'v = -b'v - q'l, l being the multipliers with A v + M l = b.
-    error = field.energy - float((rhs * solution).sum())
-    return Fit(points.copy(), 0.5 * (inverse + inverse.T), solution), error
+    # At the minimum v'Av - 2 b'v = -b'v - q'l, l being the multipliers with A v + Q l = b.
+    error = equations.constant - float((rhs * solution).sum())
+    return Fit(weight, index.copy(), 0.5 * (inverse + inverse.T), solution), error
 
 
-def _moves(points: IntArray, shape: tuple[int, ...], rng: np.random.Generator) -> list[tuple[int, IntArray]]:
-    """Propose moves of a few points by at most a pixel, none onto another point: who moves, and where to."""
-    moved = propose(points, shape, rng)
-    occupied = {tuple(point) for point in points.tolist()}
-    moves = []
-    for index in np.flatnonzero((moved != points).any(axis=1)).tolist():
-        target = tuple(moved[index].tolist())
-        if target not in occupied:
-            occupied.add(target)
-            moves.append((index, moved[index]))
-    return moves
-
-
-def _judged(field: Field, fit: Fit, index: int, target: IntArray, ridge: float) -> Proposal:
-    """Return what moving one point to a free pixel does to the fit."""
-    old = fit.inverse[index] / fit.inverse[index, index]
-    value = fit.solution[index]
+def _judged(equations: Equations, fit: Fit, point: int, target: int) -> Proposal:
+    """Return what moving one point to a free candidate does to the fit."""
+    old = fit.inverse[point] / fit.inverse[point, point]
+    value = fit.solution[point]
     # Step 1: without the old point.
-    rise = float(value @ value) / fit.inverse[index, index]
-    equation = np.concatenate([_gram(field, fit.point_rc, target[None])[:, 0], field.moments[tuple(target)]])
-    equation[index] = 0.0
+    rise = float(value @ value) / fit.inverse[point, point]
+    equation = np.concatenate([equations.gram[fit.index, target], equations.basis[target]])
+    equation[point] = 0.0
     answer = fit.inverse @ equation
-    answer -= fit.inverse[index] * (old @ equation)
+    answer -= fit.inverse[point] * (old @ equation)
     # Step 2: with the new one.
-    schur = ridge - float(equation @ answer)
-    residual = field.potential[tuple(target)] - equation @ (fit.solution - np.outer(old, value))
-    answer[index] = -1.0
-    return Proposal(index, target, answer, schur, residual, rise - float(residual @ residual) / schur)
+    schur = equations.gram[target, target] + fit.ridge - float(equation @ answer)
+    residual = equations.rhs[target] - equation @ (fit.solution - np.outer(old, value))
+    answer[point] = -1.0
+    return Proposal(point, target, answer, schur, residual, rise - float(residual @ residual) / schur)
 
 
 def _move(fit: Fit, proposal: Proposal) -> None:
     """Move a point: two updates of rank one, the first of which takes the old point out."""
-    index, column = proposal.point, proposal.column
-    old, spread = fit.inverse[index].copy(), fit.inverse[index, index]
-    fit.solution[:] -= np.outer(old / spread, fit.solution[index])
+    point, column = proposal.point, proposal.column
+    old, spread = fit.inverse[point].copy(), fit.inverse[point, point]
+    fit.solution[:] -= np.outer(old / spread, fit.solution[point])
     fit.inverse[:] -= np.outer(old / spread, old)
-    fit.inverse[index] = fit.inverse[:, index] = 0.0
-    fit.solution[index] = 0.0
+    fit.inverse[point] = fit.inverse[:, point] = 0.0
+    fit.solution[point] = 0.0
     fit.solution[:] -= np.outer(column, proposal.residual / proposal.schur)
     fit.inverse[:] += np.outer(column / proposal.schur, column)
-    fit.point_rc[index] = proposal.target
+    fit.index[point] = proposal.target

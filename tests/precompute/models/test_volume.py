@@ -10,7 +10,8 @@ from spreadlets.precompute.build.build import model_settings
 from spreadlets.precompute.models._volume_kernels import free_path, scattering_cosine, seed_state, uniform
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.models.volume import N_BLOCKS, RINGS_PER_PX, Medium, draw_rings, trace_paths
-from spreadlets.precompute.sparsify.sparsify import sparsify, split_spike
+from spreadlets.precompute.sparsify.preparation import split_spike
+from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.model import get_model
 from spreadlets.scene.camera import ThinLens
 

@@ -3,10 +3,12 @@ import pytest
 from reference import capsule_psf, disc_coverage
 from scipy.ndimage import gaussian_filter
 
-import spreadlets.precompute.sparsify.sparsify as sparsify_module
+import spreadlets.precompute.sparsify.direct as direct_module
+import spreadlets.precompute.sparsify.fitted as fitted_module
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_l1, psf_similarity
-from spreadlets.precompute.sparsify.sparsify import DIRECT_BITS, round_direct, sparsify
+from spreadlets.precompute.sparsify.direct import DIRECT_BITS, round_direct
+from spreadlets.precompute.sparsify.sparsify import sparsify
 
 # Shape (radius, length, angle): budgets of sparsity, SSIM loss and L1 at density 1.
 BUDGETS = {
@@ -79,7 +81,7 @@ def test_few_points_are_no_excuse_for_any_loss(psf):
 
 
 def test_equal_seeds_give_equal_spreadlets_and_others_do_not(monkeypatch):
-    monkeypatch.setattr("spreadlets.precompute.sparsify.sparsify.MAX_ORBITS", 60)
+    monkeypatch.setattr("spreadlets.precompute.sparsify.fitted.MAX_ORBITS", 60)
     psf = gaussian_filter(capsule_psf(9.0, 6.0, 0.3), 1.0)
     first, second, other = (sparsify(psf, seed=seed)[0] for seed in (4, 4, 5))
     np.testing.assert_array_equal(first.offset_rc, second.offset_rc)
@@ -102,8 +104,8 @@ def test_a_faint_veil_is_not_left_out(monkeypatch):
     square = rows**2 + cols**2
     psf = np.exp(-square / (2 * 0.6**2)) + 0.03 * np.exp(-square / (2 * 2.4**2))
     results = []
-    for most in (sparsify_module.MAX_LEFT_OUT, 1.0):
-        monkeypatch.setattr(sparsify_module, "MAX_LEFT_OUT", most)
+    for most in (direct_module.MAX_LEFT_OUT, 1.0):
+        monkeypatch.setattr(direct_module, "MAX_LEFT_OUT", most)
         spreadlet, statistics = sparsify(psf)
         assert spreadlet.direct
         kept = np.zeros(psf.shape, np.bool_)
@@ -116,7 +118,7 @@ def test_a_faint_veil_is_not_left_out(monkeypatch):
 def test_a_spreadlet_that_was_misjudged_gets_more_points(monkeypatch):
     psf = disc_coverage(14.0)
     plain = sparsify(psf)[1]
-    monkeypatch.setattr(sparsify_module, "MISJUDGED_LOSS", 0.0)
+    monkeypatch.setattr(fitted_module, "MISJUDGED_LOSS", 0.0)
     again = sparsify(psf)[1]
     assert again["n_points"] > plain["n_points"] and again["ssim"] > plain["ssim"]
 
