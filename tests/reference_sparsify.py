@@ -78,3 +78,70 @@ def eliminate_one(gram, rhs, constraint, value):
     everything = np.arange(len(rhs))
     whole = minimum(everything)
     return np.array([minimum(np.delete(everything, j)) - whole for j in everything])
+
+
+def lloyd(importance, points):
+    """Move points to the weighted centroids of their Voronoi cells fifty times, and round."""
+    pixel = np.argwhere(importance > 0)
+    weight = importance[tuple(pixel.T)]
+    point = np.asarray(points, dtype=float)
+    for _ in range(50):
+        owner = squared_distances(pixel, point).argmin(axis=1)
+        for j in range(len(point)):
+            if (owner == j).any():
+                point[j] = np.average(pixel[owner == j], axis=0, weights=weight[owner == j])
+    return np.unique(np.rint(point).astype(int), axis=0)
+
+
+def anneal(psf, laplacian, points, rng):
+    """400 steps, each moving a hundredth of the points by at most a pixel, judged by the L1 error of Voronoi sums."""
+    height, width = psf.shape[:2]
+    pixel = np.argwhere(np.ones((height, width)))
+    half = np.array([height // 2, width // 2])
+
+    def cost(point):
+        owner = squared_distances(pixel, point).argmin(axis=1).reshape(height, width)
+        value = np.stack([laplacian[owner == j].sum(axis=0) for j in range(len(point))])
+        return np.abs(green_columns(point - half, (height, width)) @ value - psf).sum() / psf.sum()
+
+    points = np.unique(points, axis=0)
+    best, least, now = points, cost(points), cost(points)
+    for step in range(400):
+        chosen = rng.choice(len(points), size=max(1, round(0.01 * len(points))), replace=False)
+        moved = points.copy()
+        moved[chosen] += rng.integers(-1, 2, size=(len(chosen), 2))
+        moved = np.unique(np.clip(moved, 0, [height - 1, width - 1]), axis=0)
+        after = cost(moved)
+        if after < now or rng.random() < np.exp(-(after - now) / (2e-3 * (1 - step / 400) * now)):
+            points, now = moved, after
+        if now < least:
+            best, least = points, now
+    return best
+
+
+def anneal_fitted(equations, neighbours, index, rng):
+    """400 steps, each moving a hundredth of the points to a free neighbour, judged by the minimum of the form."""
+
+    def minimum(chosen):
+        chosen = np.array(chosen)
+        gram, rhs, rows = equations.gram[np.ix_(chosen, chosen)], equations.rhs[chosen], equations.basis[chosen]
+        system = np.block([[gram, rows], [rows.T, np.zeros((rows.shape[1],) * 2)]])
+        v = np.linalg.solve(system, np.concatenate([rhs, equations.fixed]))[: len(chosen)]
+        return equations.constant + (v * (gram @ v - 2 * rhs)).sum()
+
+    index = list(index)
+    best, least, now = sorted(index), minimum(index), minimum(index)
+    for step in range(400):
+        for point in rng.choice(len(index), size=max(1, round(0.01 * len(index))), replace=False):
+            free = [c for c in neighbours[index[point]] if c not in index]
+            if not free:
+                continue
+            moved = list(index)
+            moved[point] = int(rng.choice(free))
+            after = minimum(moved)
+            # The error is a root: half the relative rise of its square.
+            if after < now or rng.random() < np.exp(-(after - now) / (2 * 1e-4 * (1 - step / 400) * now)):
+                index, now = moved, after
+        if now < least:
+            best, least = sorted(index), now
+    return np.array(best), least

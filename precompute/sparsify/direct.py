@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spreadlets.arrays import BoolArray, DoubleArray, IntArray
 from spreadlets.psf.spreadlet import Spreadlet
 
-DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 3e-2)
+DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 3e-2, 5e-2, 7e-2, 0.1, 0.15, 0.2)
 """Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
 
 MAX_LEFT_OUT = 0.1

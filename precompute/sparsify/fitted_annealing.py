@@ -1,8 +1,8 @@
 """Simulated annealing of fitted points among candidates, judged by the error that the constrained fit would leave.
 
 Moving one of n points changes the fit's equations by a matrix of rank 2. With the inverse S of the equations at hand,
-dropping point j costs ``v_j^2 / S_jj``, v being the values, and the new point gains ``r^2 / z``, r being what is left of
-its equation and z the Schur complement: O(n^2) operations for each proposal.
+dropping point j costs ``v_j^2 / S_jj``, v being the values, and the new point gains ``r^2 / z``, r being what is left
+of its equation and z the Schur complement: O(n^2) operations for each proposal.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def test_a_build_goes_on_from_the_cells_that_were_finished(reference, tmp_path, 
 def test_cells_of_another_seed_or_algorithm_are_built_anew(tmp_path, monkeypatch):
     with pytest.raises(Stop):
         build(tmp_path / "a.h5", progress=stop_after(5))
-    for change in ({"seed": 3}, {"density": 2.0}, {"max_coc": 5.0}, {"rays": 9_000}):
+    for change in ({"seed": 3}, {"density": 2.0}, {"sparsifier": "lks"}, {"max_coc": 5.0}, {"rays": 9_000}):
         with pytest.raises(Stop):
             build(tmp_path / "a.h5", progress=stop_after(0), **change)
     monkeypatch.setattr(parts_module, "ALGORITHM_VERSION", work.ALGORITHM_VERSION + 1)
@@ -162,7 +162,7 @@ def test_the_log_tells_of_every_cell_and_what_is_left(tmp_path):
 
 
 def tasks_of(grid):
-    return [CellTask(grid, cell, tuple(range(n)), 1.0, None, 0, cell) for cell, n in enumerate(grid.pose_counts)]
+    return [CellTask(grid, cell, tuple(range(n)), 1.0, None, 0, cell, "fit") for cell, n in enumerate(grid.pose_counts)]
 
 
 def test_units_cover_every_direction_once_and_the_longest_come_first():
@@ -279,6 +279,27 @@ def test_a_denser_database_keeps_what_is_stored_as_pixels(tmp_path, monkeypatch)
         assert (np.diff(database.point_start)[~direct] > counts[~direct]).any()
         assert np.array_equal(np.diff(database.point_start)[direct], counts[direct])
         assert database.provenance["parameters"]["density"] == 2.0
+
+
+def test_a_database_says_by_which_sparsifier_it_was_made_and_an_extension_keeps_it(reference, tmp_path):
+    path = build(tmp_path / "a.h5", sparsifier="lks", max_coc=9.0)
+    build_database("combined", path, extend=True, max_coc=10.0, jobs=1)
+    with pytest.raises(InvalidParameterError, match="built with the sparsifier 'lks': an extension keeps it.*'fit'"):
+        build_database("combined", path, extend=True, sparsifier="fit", jobs=1)
+    with open_database(path) as database, open_database(reference) as fitted:
+        assert database.summary()["parameters"]["sparsifier"] == "lks"
+        assert fitted.summary()["parameters"]["sparsifier"] == "fit"
+        sparse = ~database.direct
+        assert sparse.any()
+        # Voronoi sums do not keep the energy, which least squares does: so they were made, those of the extension too.
+        errors = database.statistics()["energy_error"][sparse]
+        assert (errors > 1e-5).all() and fitted.statistics()["energy_error"].max() < 1e-6
+
+
+def test_an_unknown_sparsifier_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(InvalidParameterError, match="sparsifier is 'magic': allowed are 'fit', 'lks'"):
+        build(tmp_path / "a.h5", sparsifier="magic")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_database_for_a_frame_is_extended_for_another(tmp_path):

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+import reference_sparsify as reference
 from reference import disc_coverage
 
-from spreadlets.precompute.sparsify.annealing import anneal
+from spreadlets.precompute.sparsify.annealing import anneal, propose
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
 from spreadlets.precompute.sparsify.green import reconstruct
 from spreadlets.precompute.sparsify.lloyd import collapse
@@ -43,3 +44,23 @@ def test_same_seed_gives_the_same_points():
     psf, field, points = start()
     first, second = (anneal(psf, field, points, np.random.default_rng(3), 30) for _ in range(2))
     np.testing.assert_array_equal(first, second)
+
+
+def test_it_takes_the_moves_of_its_naive_twin():
+    # Of 160 points a hundredth is two; a step may be accepted though it raises the error.
+    # The PSF is uneven, so that no move changes nothing.
+    rng = np.random.default_rng(1)
+    psf = np.pad(disc_coverage(8.0) * rng.uniform(0.5, 1.5, (19, 19)), 2)[..., None]
+    field = laplacian(psf)[1:-1, 1:-1]
+    points = np.argwhere(field[..., 0] != 0)
+    points = points[rng.permutation(len(points))[:160]]
+    found = anneal(psf, field, points, np.random.default_rng(5))
+    np.testing.assert_array_equal(found, reference.anneal(psf, field, points, np.random.default_rng(5)))
+
+
+def test_a_hundredth_of_the_points_moves_by_at_most_a_pixel():
+    points = np.argwhere(np.ones((30, 30)))
+    moved = [propose(points, (30, 30), np.random.default_rng(seed)) - points for seed in range(20)]
+    counts = [np.any(step != 0, axis=1).sum() for step in moved]
+    assert max(counts) == 9  # of 900; one in nine of the nine stays where it is
+    assert np.abs(moved).max() == 1

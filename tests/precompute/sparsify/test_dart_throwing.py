@@ -54,6 +54,19 @@ def test_fewer_allowed_failures_place_fewer_points():
     assert len(few) < len(many)
 
 
+def test_darts_are_thrown_until_ten_thousand_have_failed(monkeypatch):
+    throw, failures = _kernels.throw_darts, []
+
+    def count(*arguments):
+        placed, failed = throw(*arguments)
+        failures.append(failed)
+        return placed, failed
+
+    monkeypatch.setattr(_kernels, "throw_darts", count)
+    throw_darts(ring_importance(), 60, np.random.default_rng(0))
+    assert failures == [10_000]
+
+
 def test_same_seed_gives_the_same_points():
     first, second = (throw_darts(ring_importance(), 60, np.random.default_rng(7)) for _ in range(2))
     np.testing.assert_array_equal(first, second)

@@ -42,6 +42,18 @@ def test_relaxation_finds_the_centroids_of_two_blobs():
     np.testing.assert_array_equal(relax(importance, np.array([[0, 0], [8, 20]])), [[4, 3], [4, 16]])
 
 
+def test_relaxation_takes_the_fifty_iterations_of_its_naive_twin(monkeypatch):
+    rng = np.random.default_rng(2)
+    rows, cols = np.indices((31, 31)) - 15
+    importance = np.exp(-((np.hypot(rows, cols) - 9) ** 2) / 8)
+    points = merge(rng.integers(8, 22, (25, 2)))
+    np.testing.assert_array_equal(relax(importance, points), reference.lloyd(importance, points))
+    calls = []
+    monkeypatch.setattr("spreadlets.precompute.sparsify.lloyd.assign", lambda *a: calls.append(0) or assign(*a))
+    relax(importance, points)
+    assert len(calls) == 50
+
+
 def test_points_that_meet_are_merged():
     np.testing.assert_array_equal(merge(np.array([[1, 2], [0, 5], [1, 2]])), [[0, 5], [1, 2]])
 

@@ -187,3 +187,28 @@ def test_malformed_psfs_are_refused(psf, message):
 def test_density_must_be_positive():
     with pytest.raises(InvalidParameterError, match="density must be above 0, not 0"):
         sparsify(np.ones((5, 5)), density=0)
+
+
+def test_an_unknown_sparsifier_is_refused():
+    with pytest.raises(InvalidParameterError, match="sparsifier is 'darts': allowed are 'fit', 'lks'"):
+        sparsify(np.ones((5, 5)), sparsifier="darts")
+
+
+def test_annealing_gives_more_similarity_for_the_same_points(monkeypatch):
+    shapes = [capsule_psf(9.0, 22.0, angle) for angle in (0.2, 0.4, 0.6)]
+    annealed = [sparsify(psf)[1] for psf in shapes]
+    monkeypatch.setattr(fitted_module, "anneal_fitted", lambda equations, near, index, rng: index)
+    plain = [sparsify(psf)[1] for psf in shapes]
+    assert [some["n_points"] for some in annealed] == [some["n_points"] for some in plain]
+    loss, before = (np.mean([1 - some["ssim"] for some in figures]) for figures in (annealed, plain))
+    assert loss < 0.99 * before
+
+
+def test_relaxed_darts_are_better_candidates_than_darts(monkeypatch):
+    monkeypatch.setattr(fitted_module, "MAX_ORBITS", 120)
+    monkeypatch.setattr(fitted_module, "MISJUDGED_LOSS", 1.0)
+    psf = gaussian_filter(np.pad(capsule_psf(14.0, 20.0, 0.3), 6), 1.0)
+    relaxed = np.mean([fitted_module._loss(sparsify(psf, seed=seed)) for seed in range(4)])
+    monkeypatch.setattr(fitted_module, "RELAXATIONS", 0)
+    thrown = np.mean([fitted_module._loss(sparsify(psf, seed=seed)) for seed in range(4)])
+    assert relaxed < 0.97 * thrown
