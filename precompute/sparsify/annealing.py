@@ -60,7 +60,7 @@ def anneal(
         add_sources(trial, *_difference(points, values, proposed, new_values))
         new_cost = float(np.abs(trial).sum()) / total
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
-        if new_cost < cost or rng.random() < np.exp((cost - new_cost) / (temperature * cost)):
+        if rng.random() < np.exp(min(0.0, cost - new_cost) / (temperature * cost)):
             points, values, error, cost = proposed, new_values, trial, new_cost
         if cost < best_cost:
             best, best_cost = points, cost
