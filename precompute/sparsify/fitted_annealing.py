@@ -30,7 +30,7 @@ class Fit(NamedTuple):
     ridge: float
     """Weight of the squared values."""
 
-    index: IntArray
+    chosen: IntArray
     """The candidates that are points, shape (n,)."""
     inverse: DoubleArray
     """Inverse of the equations of values and Lagrange multipliers, shape (n + k, n + k)."""
@@ -89,14 +89,14 @@ def anneal_fitted(
         return np.sort(index)
     _, weight = ridge(equations.gram, equations.gram)
     fit, error = _fitted(equations, index, weight)
-    best, least, start = fit.index.copy(), error, error
+    best, least, start = fit.chosen.copy(), error, error
     occupied = np.zeros(len(neighbours), np.bool_)
     occupied[index] = True
     n_moves = 0
     for step in range(n_steps):
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
         for point in rng.choice(len(index), size=max(1, round(MOVED_FRACTION * len(index))), replace=False):
-            free = neighbours[fit.index[point]]
+            free = neighbours[fit.chosen[point]]
             free = free[~occupied[free]]
             # Rounding may leave nothing where the constraints alone fix a value: such a point stays.
             if len(free) == 0 or fit.inverse[point, point] <= 0.0:
@@ -104,14 +104,14 @@ def anneal_fitted(
             proposal = _judged(equations, fit, int(point), int(rng.choice(free)))
             if proposal.rise >= 0.0 and rng.random() >= np.exp(-proposal.rise / (2.0 * temperature * error)):
                 continue
-            occupied[[fit.index[point], proposal.target]] = False, True
+            occupied[[fit.chosen[point], proposal.target]] = False, True
             _move(fit, proposal)
             error += proposal.rise
             n_moves += 1
             if n_moves % REFRESH_MOVES == 0:
-                fit, error = _fitted(equations, fit.index, weight)
+                fit, error = _fitted(equations, fit.chosen, weight)
         if error < least:
-            best, least = fit.index.copy(), error
+            best, least = fit.chosen.copy(), error
     best = np.sort(best)
     return best if _fitted(equations, best, weight)[1] < start else np.sort(index)
 
@@ -159,7 +159,7 @@ def _judged(equations: Equations, fit: Fit, point: int, target: int) -> Proposal
     value = fit.solution[point]
     # Step 1: without the old point.
     rise = float(value @ value) / fit.inverse[point, point]
-    equation = np.concatenate([equations.gram[fit.index, target], equations.basis[target]])
+    equation = np.concatenate([equations.gram[fit.chosen, target], equations.basis[target]])
     equation[point] = 0.0
     answer = fit.inverse @ equation
     answer -= fit.inverse[point] * (old @ equation)
@@ -180,4 +180,4 @@ def _move(fit: Fit, proposal: Proposal) -> None:
     fit.solution[point] = 0.0
     fit.solution[:] -= np.outer(column, proposal.residual / proposal.schur)
     fit.inverse[:] += np.outer(column / proposal.schur, column)
-    fit.index[point] = proposal.target
+    fit.chosen[point] = proposal.target

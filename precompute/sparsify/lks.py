@@ -61,7 +61,7 @@ def sparsify_lks(psf: DoubleArray, density: float, seed: int) -> Result:
 def place_points(psf: DoubleArray, density: float, rng: np.random.Generator) -> tuple[IntArray, DoubleArray]:
     """Return the points (n, 2) of a PSF on a window whose border it does not touch, and their values (n, C)."""
     # Step 1: the Laplacian, and its absolute value as importance.
-    dense = laplacian(psf)[1:-1, 1:-1]
+    dense = np.asarray(laplacian(psf)[1:-1, 1:-1], np.float64)
     importance = np.abs(dense).max(axis=2)
     # Step 2: Poisson discs; they settle the number of points.
     n_target = density * POINTS_PER_PEAK * float(importance.sum()) / float(psf.max())
