@@ -225,5 +225,4 @@ def _candidates(psf: DoubleArray, group: tuple[Symmetry, ...], terms: Terms, rng
     row, column = (offset + half).T
     importance = np.zeros_like(strength)
     importance[row, column] = strength[row, column]
-    relaxed: IntArray = relax(importance, throw_darts(importance, terms.most, rng), RELAXATIONS)
-    return relaxed - half
+    return np.asarray(relax(importance, throw_darts(importance, terms.most, rng), RELAXATIONS) - half)
