@@ -1,0 +1,125 @@
+"""Compiled kernels of highlights: which pixels stand out, and the steps to which their labels are rounded."""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import kernel
+from spreadlets.runtime.plan._display_kernels import display_slope
+
+NOT_ALONE = -1
+"""Code of a pixel that is drawn with the PSF of its cell."""
+HEADING_BITS = 17
+HEADING_ZERO = 1 << (HEADING_BITS - 1)
+"""Bits of a code for each of a heading's two steps; where 0 lies."""
+COLUMNS = 64
+"""Columns that are summed down together: they share their lines of the cache."""
+
+
+@kernel
+def light_and_sums(begin, end, radiance, half, light, sums):
+    """Take the brightest channel of each pixel, and its sums along rows.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+    half : tuple of two ints
+        Sums are over the ``2 half + 1`` pixels about each; beyond the border the last pixel repeats.
+    light : ndarray of shape (H, W), float32
+        Filled.
+    sums : ndarray of shape (2, H, W), float32
+        Filled, for each half.
+    """
+    width = light.shape[1]
+    for row in range(begin, end):
+        for col in range(width):
+            light[row, col] = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
+        for k in range(2):
+            reach = half[k]
+            total = np.float64(0.0)
+            for col in range(-reach, reach + 1):
+                total += light[row, min(max(col, 0), width - 1)]
+            for col in range(width):
+                sums[k, row, col] = total
+                entering, leaving = min(col + reach + 1, width - 1), max(col - reach, 0)
+                total += np.float64(light[row, entering]) - np.float64(light[row, leaving])
+
+
+@kernel
+def standing_out(first, last, light, sums, half, ratio, excess):
+    """Find the pixels that stand out, and how much light their group adds to the display.
+
+    Parameters
+    ----------
+    light, sums, half
+        See `light_and_sums`: the sums over the width of a group of pixels, and over that of its surroundings.
+    ratio : float
+        How many times brighter than its surroundings a pixel must be.
+    excess : ndarray of shape (H, W), float32
+        Filled with what the group about the pixel, or the pixel by itself, has above the mean of the surroundings,
+        times the display's slope at that mean; 0 where the pixel does not stand out. Divided by the area of a PSF, it
+        is how much the display changes under it.
+    """
+    height, width = light.shape
+    n_group = (2 * half[0] + 1) ** 2
+    n_around = (2 * half[1] + 1) ** 2 - n_group
+    for part in range(first, last):
+        begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
+        total = np.zeros((2, end - begin))
+        for k in range(2):
+            for row in range(-half[k], half[k] + 1):
+                total[k] += sums[k, min(max(row, 0), height - 1), begin:end]
+        for row in range(height):
+            for col in range(begin, end):
+                group = total[0, col - begin]
+                level = max(total[1, col - begin] - group, 0.0) / n_around
+                own = np.float64(light[row, col])
+                excess[row, col] = 0.0
+                if own > ratio * level:
+                    more = max(group - n_group * level, own - level)
+                    excess[row, col] = more * np.float64(display_slope(np.float32(level)))
+            for k in range(2):
+                entering, leaving = min(row + half[k] + 1, height - 1), max(row - half[k], 0)
+                total[k] += sums[k, entering, begin:end]
+                total[k] -= sums[k, leaving, begin:end]
+
+
+@kernel
+def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
+    """Pack the labels of highlights, rounded, into codes.
+
+    Parameters
+    ----------
+    key : ndarray of shape (H, W), int64
+        See `runtime.plan._plan_kernels.variant_keys`: pixels that are invisible or stay sharp are none.
+    excess : ndarray of shape (H, W), float32
+        See `standing_out`.
+    labels : tuple of three ndarrays
+        Signed CoC radius (H, W) and length of the path (H, W), px; heading (H, W, 2), px: where the PSF's direction
+        comes from.
+    steps : tuple
+        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; step of the heading, px;
+        whether the sides of the focus differ.
+    limits : tuple of two floats
+        Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
+    code : ndarray of shape (H, W), int64
+        Filled; `NOT_ALONE` where the pixel is no highlight.
+    """
+    coc, length, heading = labels
+    radius_steps, heading_step, sided = steps
+    for row in range(begin, end):
+        for col in range(key.shape[1]):
+            code[row, col] = NOT_ALONE
+            if key[row, col] <= 0 or excess[row, col] == 0.0:
+                continue
+            radius = abs(np.float64(coc[row, col]))
+            area = max(math.pi * radius * radius + 2.0 * radius * np.float64(length[row, col]), 1.0)
+            if excess[row, col] <= limits[0] * area or area > limits[1]:
+                continue
+            packed = 2 * np.int64(radius_steps * math.sqrt(radius) + 0.5)
+            if sided and coc[row, col] < 0.0:
+                packed += 1
+            for axis in range(2):
+                step = np.int64(math.floor(heading[row, col, axis] / heading_step + 0.5))
+                packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)
+            code[row, col] = packed
