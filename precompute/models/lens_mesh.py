@@ -20,14 +20,18 @@ from spreadlets.precompute.models._mesh_kernels import fill_meshes
 from spreadlets.precompute.models.colour import LONGEST_NM, SHORTEST_NM, rgb_response
 from spreadlets.psf.model import PsfModel
 
-MESH_SIDE = 33
-"""Rays along each side of the mesh: aberrations are smooth, so that straight lines between them err by 1/1000."""
+TRACED_SIDE = 33
+"""Rays along each side of the mesh that are traced; between them places lie on cubic polynomials."""
+MESH_SIDE = 2 * TRACED_SIDE - 1
+"""Rays along each side of the mesh: light near a caustic, where triangles fold, is as fine as they are."""
 TRACED_WAVELENGTHS = 5
 """Wavelengths at which rays are traced, in equal steps of their inverse squares: dispersion goes with them (Cauchy)."""
 WAVELENGTHS = 12
 """Wavelengths whose light is drawn: neighbours in a colour fringe lie within a pixel of each other."""
-SAMPLES_PER_PX = 4
-"""Samples along each side of a pixel, for each wavelength; a rim has as many steps as all of them together."""
+SAMPLES_PER_PX = 4, 16
+"""Least and most samples along each side of a pixel, for each wavelength; a rim has as many steps as all together."""
+SAMPLES_PER_SQUARE = 4.0
+"""Samples along each side of a square of the mesh, where there may be as many: fewer would not fill its triangles."""
 LIT_STEP_PX, LIT_STEP_MM = 4.0, 1.0
 """The lit part of the pupil is looked for once for all PSFs of such a range of CoC, px, and of image height."""
 
@@ -62,10 +66,13 @@ def lens_psf(model: PsfModel) -> Callable[[tuple[float, ...], float, int], Doubl
         low, high, extent = lit(int(coc // LIT_STEP_PX), int(height // LIT_STEP_MM), side)
         wavelength = SHORTEST_NM + (LONGEST_NM - SHORTEST_NM) * (np.arange(WAVELENGTHS) + 0.5) / WAVELENGTHS
         mesh = _mesh(focused, (low, high), (coc, height, side), wavelength)
+        # A lens is its own mirror image about the meridional plane.
+        mesh = np.concatenate([mesh, mesh * np.array([1.0, -1.0, 1.0])])
         half = math.ceil(extent + 0.5)
         turned = physicallens.turned(mesh[..., 0], mesh[..., 1], direction)
-        mesh[..., :2] = SAMPLES_PER_PX * (turned + half + 0.5)
-        return _coloured(mesh, 2 * half + 1, wavelength)
+        samples = int(np.clip(math.ceil(SAMPLES_PER_SQUARE * MESH_SIDE / (2.0 * extent)), *SAMPLES_PER_PX))
+        mesh[..., :2] = samples * (turned + half + 0.5)
+        return _coloured(mesh, (2 * half + 1, samples), np.tile(wavelength, 2))
 
     return psf
 
@@ -78,7 +85,7 @@ def _mesh(
 ) -> DoubleArray:
     """Return x, y (px) and clearance, shape (n, MESH_SIDE, MESH_SIDE, 3), of the rays of a point at n wavelengths."""
     (low, high), (coc, height, side) = lit, point
-    along, across = (np.linspace(low[k], high[k], MESH_SIDE) for k in (0, 1))
+    along, across = (np.linspace(low[k], high[k], TRACED_SIDE) for k in (0, 1))
     place = physicallens.turned(*np.meshgrid(along, across), physicallens.LINE_ANGLE).reshape(1, -1, 2)
     nodes = np.linspace(SHORTEST_NM**-2.0, LONGEST_NM**-2.0, TRACED_WAVELENGTHS)
     same = np.ones(TRACED_WAVELENGTHS)
@@ -92,13 +99,34 @@ def _mesh(
     first = np.minimum(step.astype(np.int64), TRACED_WAVELENGTHS - 2)
     share = (step - first)[:, None, None]
     mesh = (1.0 - share) * traced[first] + share * traced[first + 1]
-    return np.asarray(mesh.reshape(-1, MESH_SIDE, MESH_SIDE, 3))
+    return _refined(_refined(mesh.reshape(-1, TRACED_SIDE, TRACED_SIDE, 3)).swapaxes(1, 2)).swapaxes(1, 2)
 
 
-def _coloured(mesh: DoubleArray, size: int, wavelength: DoubleArray) -> DoubleArray:
-    """Draw meshes, one for each wavelength, as an image (size, size, 3) of unit sum in the mean over the channels."""
-    planes = np.zeros((len(mesh), size * SAMPLES_PER_PX, size * SAMPLES_PER_PX))
+def _refined(mesh: DoubleArray) -> DoubleArray:
+    """Put a value between each two along the second axis, on the cubic polynomial through the four about it."""
+    fine = np.empty((mesh.shape[0], 2 * mesh.shape[1] - 1, *mesh.shape[2:]))
+    fine[:, ::2] = mesh
+    fine[:, 3:-2:2] = (9.0 * (mesh[:, 1:-2] + mesh[:, 2:-1]) - mesh[:, :-3] - mesh[:, 3:]) / 16.0
+    # At the ends, the parabola through three.
+    fine[:, 1] = (3.0 * mesh[:, 0] + 6.0 * mesh[:, 1] - mesh[:, 2]) / 8.0
+    fine[:, -2] = (3.0 * mesh[:, -1] + 6.0 * mesh[:, -2] - mesh[:, -3]) / 8.0
+    return fine
+
+
+def _coloured(mesh: DoubleArray, size: tuple[int, int], wavelength: DoubleArray) -> DoubleArray:
+    """Draw meshes, one for each wavelength, as an image (n, n, 3) of unit sum in the mean over the channels.
+
+    Parameters
+    ----------
+    mesh : ndarray of shape (n_wavelengths, MESH_SIDE, MESH_SIDE, 3), float64
+        Places in samples, and clearance.
+    size : tuple of two ints
+        Pixels along each side of the image, and samples along each side of a pixel.
+    wavelength : ndarray of shape (n_wavelengths,), float64
+    """
+    n_pixels, n_samples = size
+    planes = np.zeros((len(mesh), n_pixels * n_samples, n_pixels * n_samples))
     for_bands(fill_meshes, len(mesh), np.ascontiguousarray(mesh), planes)
-    pixels = planes.reshape(len(mesh), size, SAMPLES_PER_PX, size, SAMPLES_PER_PX).sum(axis=(2, 4))
+    pixels = planes.reshape(len(mesh), n_pixels, n_samples, n_pixels, n_samples).sum(axis=(2, 4))
     psf = physicallens.without_negative_light(np.tensordot(pixels, rgb_response(wavelength), axes=(0, 0)))
     return np.asarray(psf * (psf.shape[2] / psf.sum()))

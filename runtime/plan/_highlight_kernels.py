@@ -12,6 +12,8 @@ NOT_ALONE = -1
 HEADING_BITS = 17
 HEADING_ZERO = 1 << (HEADING_BITS - 1)
 """Bits of a code for each of a heading's two steps; where 0 lies."""
+THIN_RADIUS = 4.0
+"""CoC radius, px, below which headings are rounded to finer steps."""
 COLUMNS = 64
 """Columns that are summed down together: they share their lines of the cache."""
 
@@ -24,7 +26,7 @@ def light_and_sums(begin, end, radiance, half, light, sums):
     ----------
     radiance : ndarray of shape (H, W, 4), float32
     half : tuple of two ints
-        Sums are over the ``2 half + 1`` pixels about each; beyond the border the last pixel repeats.
+        Sums are over those of the ``2 half + 1`` pixels about each that are in the frame.
     light : ndarray of shape (H, W), float32
         Filled.
     sums : ndarray of shape (2, H, W), float32
@@ -37,12 +39,28 @@ def light_and_sums(begin, end, radiance, half, light, sums):
         for k in range(2):
             reach = half[k]
             total = np.float64(0.0)
-            for col in range(-reach, reach + 1):
-                total += light[row, min(max(col, 0), width - 1)]
+            for col in range(min(reach, width)):
+                total += light[row, col]
             for col in range(width):
+                if col + reach < width:
+                    total += light[row, col + reach]
+                if col > reach:
+                    total -= light[row, col - reach - 1]
                 sums[k, row, col] = total
-                entering, leaving = min(col + reach + 1, width - 1), max(col - reach, 0)
-                total += np.float64(light[row, entering]) - np.float64(light[row, leaving])
+
+
+@kernel
+def heading_step(radius, step):
+    """Return the step of a heading, px, for a CoC radius: half as long where the PSF is so thin that its ends show."""
+    return 0.5 * step if radius < THIN_RADIUS else step
+
+
+@kernel
+def _pixels_about(row, col, shape, half):
+    """Return how many pixels of a frame are no more than ``half`` rows and columns from a pixel."""
+    rows = min(row + half, shape[0] - 1) - max(row - half, 0) + 1
+    cols = min(col + half, shape[1] - 1) - max(col - half, 0) + 1
+    return rows * cols
 
 
 @kernel
@@ -61,27 +79,27 @@ def standing_out(first, last, light, sums, half, ratio, excess):
         is how much the display changes under it.
     """
     height, width = light.shape
-    n_group = (2 * half[0] + 1) ** 2
-    n_around = (2 * half[1] + 1) ** 2 - n_group
     for part in range(first, last):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
         total = np.zeros((2, end - begin))
         for k in range(2):
-            for row in range(-half[k], half[k] + 1):
-                total[k] += sums[k, min(max(row, 0), height - 1), begin:end]
+            for row in range(min(half[k], height)):
+                total[k] += sums[k, row, begin:end]
         for row in range(height):
+            for k in range(2):
+                if row + half[k] < height:
+                    total[k] += sums[k, row + half[k], begin:end]
+                if row > half[k]:
+                    total[k] -= sums[k, row - half[k] - 1, begin:end]
             for col in range(begin, end):
-                group = total[0, col - begin]
-                level = max(total[1, col - begin] - group, 0.0) / n_around
+                group, n_group = total[0, col - begin], _pixels_about(row, col, light.shape, half[0])
+                n_around = _pixels_about(row, col, light.shape, half[1]) - n_group
+                level = max(total[1, col - begin] - group, 0.0) / max(n_around, 1)
                 own = np.float64(light[row, col])
                 excess[row, col] = 0.0
                 if own > ratio * level:
                     more = max(group - n_group * level, own - level)
                     excess[row, col] = more * np.float64(display_slope(np.float32(level)))
-            for k in range(2):
-                entering, leaving = min(row + half[k] + 1, height - 1), max(row - half[k], 0)
-                total[k] += sums[k, entering, begin:end]
-                total[k] -= sums[k, leaving, begin:end]
 
 
 @kernel
@@ -98,7 +116,8 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
         Signed CoC radius (H, W) and length of the path (H, W), px; heading (H, W, 2), px: where the PSF's direction
         comes from.
     steps : tuple
-        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; step of the heading, px;
+        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; longest step of the
+        heading, px;
         whether the sides of the focus differ.
     limits : tuple of two floats
         Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
@@ -106,7 +125,7 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
         Filled; `NOT_ALONE` where the pixel is no highlight.
     """
     coc, length, heading = labels
-    radius_steps, heading_step, sided = steps
+    radius_steps, longest_step, sided = steps
     for row in range(begin, end):
         for col in range(key.shape[1]):
             code[row, col] = NOT_ALONE
@@ -116,10 +135,14 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
             area = max(math.pi * radius * radius + 2.0 * radius * np.float64(length[row, col]), 1.0)
             if excess[row, col] <= limits[0] * area or area > limits[1]:
                 continue
-            packed = 2 * np.int64(radius_steps * math.sqrt(radius) + 0.5)
+            n_steps = np.int64(radius_steps * math.sqrt(radius) + 0.5)
+            step_px = heading_step((n_steps / radius_steps) ** 2, longest_step)
+            packed = 2 * n_steps
             if sided and coc[row, col] < 0.0:
                 packed += 1
             for axis in range(2):
-                step = np.int64(math.floor(heading[row, col, axis] / heading_step + 0.5))
+                place = np.float64(heading[row, col, axis]) / step_px
+                # Halves away from 0: mirror images are rounded to mirror images.
+                step = np.int64(math.copysign(math.floor(abs(place) + 0.5), place))
                 packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)
             code[row, col] = packed

@@ -1,39 +1,43 @@
 """Highlights: pixels so bright that the rim of their PSF shows are drawn with a PSF of their own, and not of a cell.
 
 The PSF of a cell is blurred over the cell: at the rim it is off by up to half of its level, which is invisible in a dim
-pixel among its like, and all that is seen of a lamp. A pixel's error is its light times that of its PSF: where it
-exceeds the bound that also rules merging (`runtime.plan.merge`), the PSF is made at the pixel's own coordinate. Labels
-are rounded so that the pixels of a lamp, and their neighbours along a row, share one.
+pixel among its like, and all that is seen of a lamp. A pixel's error is its light times that of its PSF: where it would
+show, the PSF is made at the pixel's own coordinate. Labels are rounded so that the pixels of a lamp, and neighbours
+along a row, share one.
+
+Only the light is drawn so. What the pixel covers, its alpha, stays with its cell as its neighbours' does, so that
+together they still cover all.
 """
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import DoubleArray, FloatArray, Image, IntArray
+from spreadlets.arrays import BoolArray, DoubleArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.runtime.label.labels import DIRECTIONS
 from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
 from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE
-from spreadlets.runtime.plan._plan_kernels import INVISIBLE
+from spreadlets.runtime.plan.layering import Membership
+from spreadlets.runtime.splat.passes import PointTable, SplatPass
 
 HALF_WIDTHS = 3, 15
 """Of the group of pixels that a highlight may be, and of its surroundings, px."""
 STANDS_OUT = 5.0
 """How many times brighter than its surroundings a pixel of a highlight is; along a straight edge it is twice."""
-RIM_SHARE = 0.125
-"""Share of a PSF's level by which that of a cell errs where it errs, in the mean: a rim of 1 becomes a ramp, off by
-half at most, and a ramp's mean error is a quarter of that."""
-LEAST_TOLERANCE = 1e-3
-"""Bound on the error that is worth a PSF, where a smaller one is asked for: a quarter of an 8-bit step."""
+LEAST_CHANGE = 8.0 * DEFAULT_TOLERANCE
+"""Change of the display under a PSF from which its rim shows. The rim of a cell's PSF is a ramp in place of a step: off
+by half of the level at most, and by an eighth in the mean, which is then the error that merging is allowed, too."""
 RADIUS_STEPS = 48.0
 """CoC radii are rounded to steps of ``2 sqrt(r) / 48``, with which cells grow, too: by 1 % at 4 px, 1/6 px at 64 px."""
 PATH_STEP_PX = 1.0
@@ -58,24 +62,46 @@ class Highlights(NamedTuple):
     number: list[npt.NDArray[np.int32]]
     psfs: list[Spreadlet]
 
-    def others(self, keys: Sequence[IntArray]) -> list[IntArray]:
-        """Return the keys of all other pixels; highlights become invisible."""
-        if not self.psfs:
-            return list(keys)
-        return [np.where(number < 0, key, INVISIBLE) for number, key in zip(self.number, keys, strict=True)]
+    def dimmed(self, passes: Sequence[Pixels]) -> list[Pixels]:
+        """Return the passes without the colours of highlights; their alpha stays."""
+        return [_dimmed(pixels, number >= 0) for pixels, number in zip(passes, self.number, strict=True)]
 
-    def add_to(self, variants: Sequence[npt.NDArray[np.int32]], n_variants: int) -> None:
-        """Give the highlights the variants from ``n_variants`` on, in place."""
-        # Without highlights there are no numbers.
-        for number, variant in zip(self.number, variants, strict=bool(self.psfs)):
-            np.copyto(variant, number + np.int32(n_variants), where=number >= 0)
+    def splats(
+        self,
+        passes: Sequence[Pixels],
+        members: Sequence[Membership],
+        table: PointTable,
+        first_variant: int,
+        wide: npt.NDArray[np.bool_],
+    ) -> list[SplatPass]:
+        """Return the pass that draws the colours of highlights, without alpha; none if there are no highlights.
 
-
-NO_HIGHLIGHTS = Highlights([], [])
+        Parameters
+        ----------
+        passes : sequence of Pixels
+        members : sequence of Membership
+            The layers of their pixels.
+        table : PointTable
+            Of all variants; the PSFs of highlights are those from ``first_variant`` on.
+        first_variant : int
+        wide : ndarray of shape (n_variants,), bool
+            Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
+        """
+        lights = [
+            _Lights.of(pixels, member, np.where(number < 0, -1, number + first_variant))
+            for pixels, member, number in zip(passes, members, self.number, strict=True)
+            if (number >= 0).any()
+        ]
+        if not lights:
+            return []
+        shape = self.number[0].shape
+        parts = [part for each in lights for part in each.placed(wide).in_layers(table.n_variants)]
+        joined = _Lights(*map(np.concatenate, zip(*parts, strict=True)))
+        return [joined.reaching(shape, table).as_pass()]
 
 
 def find_highlights(
-    passes: Sequence[Pixels], keys: Sequence[IntArray], model: PsfModel, exact_psf: ExactPsf | None, tolerance: float
+    passes: Sequence[Pixels], keys: Sequence[IntArray], model: PsfModel, exact_psf: ExactPsf | None
 ) -> Highlights:
     """Find the pixels whose light shows the rim of a PSF, and make their PSFs.
 
@@ -87,20 +113,85 @@ def find_highlights(
     model : PsfModel
     exact_psf : ExactPsf or None
         What makes the PSFs; None if there are none but those of cells.
-    tolerance : float
-        Largest error of the displayed image, as a share of its range.
     """
     if exact_psf is None:
-        return NO_HIGHLIGHTS
-    limit = max(tolerance, LEAST_TOLERANCE) / RIM_SHARE
+        return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
     found = zip(passes, keys, _excesses(passes), strict=True)
-    codes = [_codes(pixels, key, excess, model, limit) for pixels, key, excess in found]
+    codes = [_codes(pixels, key, excess, model) for pixels, key, excess in found]
     used, number = _numbered(codes)
-    if not len(used):
-        return NO_HIGHLIGHTS
     view = passes[0].labels.view
-    psfs = exact_psf(*_coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px))
-    return Highlights(number, list(psfs))
+    coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
+    return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
+
+
+def _dimmed(pixels: Pixels, is_highlight: BoolArray) -> Pixels:
+    if not is_highlight.any():
+        return pixels
+    radiance = pixels.radiance.copy()
+    radiance[is_highlight, :3] = 0.0
+    return pixels._replace(radiance=radiance)
+
+
+class _Lights(NamedTuple):
+    """Pixels as a list: colours (n, 4); labels (n,); nearer layers and shares of the farther ones; places (n, 2)."""
+
+    radiance: Image
+    label: npt.NDArray[np.int32]
+    layer: npt.NDArray[np.int32]
+    farther: FloatArray
+    place: FloatArray
+    """Row and column in the frame, px."""
+
+    @classmethod
+    def of(cls, pixels: Pixels, members: Membership, label: npt.NDArray[np.int32]) -> _Lights:
+        """List the pixels of a pass that have a label, in raster order."""
+        at = np.nonzero(label >= 0)
+        weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
+        place = np.stack(at, axis=1).astype(np.float32)
+        if pixels.labels.shift is not None:
+            place += pixels.labels.shift[at][:, ::-1]
+        radiance = pixels.radiance[at] * weight
+        radiance[:, 3] = 0.0
+        return cls(radiance, label[at], members.layer[at], members.farther[at], place)
+
+    def placed(self, wide: npt.NDArray[np.bool_]) -> _Lights:
+        """Split what lies between pixels, bilinearly; wide variants are moved to the next pixel."""
+        place = np.where(wide[self.label, None], np.rint(self.place), self.place)
+        first = np.floor(place)
+        share = place - first
+        if not share.any():
+            return self._replace(place=first)
+        corners = []
+        for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = np.prod(np.where(corner, share, 1.0 - share), axis=1, keepdims=True).astype(np.float32)
+            corners.append(self._replace(radiance=self.radiance * weight, place=first + np.array(corner, np.float32)))
+        return _Lights(*map(np.concatenate, zip(*corners, strict=True)))
+
+    def in_layers(self, n_variants: int) -> list[_Lights]:
+        """Return the parts in the nearer and the farther layers, their labels those of layers and variants."""
+        parts = []
+        for part, share in enumerate((1.0 - self.farther, self.farther)):
+            label = (self.layer + np.int32(part)) * np.int32(n_variants) + self.label
+            each = self._replace(radiance=self.radiance * share[:, None], label=label)
+            parts.append(each.only(share > 0.0))
+        return parts
+
+    def only(self, kept: BoolArray) -> _Lights:
+        """Return some of the pixels."""
+        return _Lights(*map(operator.itemgetter(kept), self))
+
+    def reaching(self, shape: tuple[int, ...], table: PointTable) -> _Lights:
+        """Return those that have light and reach into a frame (H, W)."""
+        reach = table.reaches[self.label % table.n_variants]
+        beyond = np.maximum(-self.place, self.place - np.array(shape) + 1.0).max(axis=1)
+        kept = (beyond <= reach) & self.radiance.any(axis=1)
+        return self.only(kept)
+
+    def as_pass(self) -> SplatPass:
+        """Return a pass of one row."""
+        shift = self.place.astype(np.int32)
+        shift[:, 1] -= np.arange(len(shift), dtype=np.int32)
+        return SplatPass((0, 0), np.ascontiguousarray(self.radiance[None]), self.label[None], shift[None])
 
 
 def _excesses(passes: Sequence[Pixels]) -> list[FloatArray]:
@@ -119,22 +210,22 @@ def _excess(radiance: Image) -> FloatArray:
     return excess
 
 
-def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel, limit: float) -> IntArray:
+def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> IntArray:
     """Return the codes of a pass's highlights."""
     labels, code = pixels.labels, np.empty(key.shape, np.int64)
     nothing = np.zeros((), np.float32)
     length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
     heading = DIRECTIONS[model.symmetry.angle](labels) if model.has_direction else nothing
     heading = np.broadcast_to(heading, (*key.shape, 2))
-    steps = RADIUS_STEPS, _heading_step(model, key.shape[1]), model.symmetry.sign != "ignored"
+    steps = RADIUS_STEPS, _longest_step(model, key.shape[1]), model.symmetry.sign != "ignored"
     shape = labels.coc, length, heading
-    limits = limit, float(LARGEST_AREA)
+    limits = LEAST_CHANGE, float(LARGEST_AREA)
     for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, shape, steps, limits, code)
     return code
 
 
-def _heading_step(model: PsfModel, width: int) -> float:
-    """Return the step of the heading, px: of a path, or of the place on an image of a width."""
+def _longest_step(model: PsfModel, width: int) -> float:
+    """Return the longest step of a heading, px: of a path, or of the place on an image of a width."""
     return PATH_STEP_PX if model.symmetry.angle == "motion" else max(1.0, width / PLACES_ACROSS)
 
 
@@ -156,10 +247,11 @@ def _coordinates(
     codes: IntArray, model: PsfModel, width: int, mm_per_px: float
 ) -> tuple[DoubleArray, DoubleArray, IntArray]:
     """Return the coordinates (n, n_axes), directions (n,) and sides (n,) that codes stand for."""
-    step, mask = _heading_step(model, width), (1 << HEADING_BITS) - 1
+    rest, mask = codes >> 2 * HEADING_BITS, (1 << HEADING_BITS) - 1
+    radius = ((rest >> 1) / RADIUS_STEPS) ** 2
+    step = np.array([_highlight_kernels.heading_step(each, _longest_step(model, width)) for each in radius])
     x, y = (((codes >> bits & mask) - HEADING_ZERO) * step for bits in (HEADING_BITS, 0))
-    rest = codes >> 2 * HEADING_BITS
-    radius, heading = ((rest >> 1) / RADIUS_STEPS) ** 2, np.hypot(x, y)
+    heading = np.hypot(x, y)
     known = {"coc": radius, "depth": radius, "motion": heading, "eccentricity": heading * mm_per_px}
     coordinate = np.stack([known[axis.name] for axis in model.axes], axis=-1)
     return coordinate, np.arctan2(y, x), np.where(rest & 1, -1, 1).astype(np.int64)

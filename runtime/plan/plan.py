@@ -50,9 +50,9 @@ class Plan:
     sources : list of list of SplatPass
         The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
     table : PointTable
-        The points of the variants in use, and behind them the spikes that were taken off some of them.
+        The points of the variants in use; behind them the PSFs of highlights, and the spikes that were taken off some.
     n_variants : int
-        Variants without the spikes.
+        Variants without those: pixels that have one of them are drawn twice.
     n_layers : int
         Depth layers.
     members : list of Membership
@@ -87,7 +87,6 @@ class Plan:
             splats += count
             drawn += count * source.stride**2
             merged += count * source.stride**2 if source.stride > 1 else 0
-        # A pixel with a spike is drawn twice.
         drawn[self.n_variants :] = 0
         return {
             "pixels_sparse": int(drawn[~self.table.direct].sum()),
@@ -156,29 +155,30 @@ def plan_pixels(
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
     n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
     _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
-    highlights = find_highlights(passes, keys, database.grid.model, exact_psf, options.tolerance)
-    drawn = highlights.others(keys)
-    used, place = _used_keys(drawn)
-    indices = [np.empty(key.shape, np.int32) for key in drawn]
-    for key, index in zip(drawn, indices, strict=True):
+    used, place = _used_keys(keys)
+    indices = [np.empty(key.shape, np.int32) for key in keys]
+    for key, index in zip(keys, indices, strict=True):
         for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    highlights.add_to(indices, len(variants))
+    highlights = find_highlights(passes, keys, database.grid.model, exact_psf)
     points = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
     layering = Layering.of(list(zip(labels, indices, strict=True)), n_layers, options.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
-    parts = _all_parts(passes, members, border, layering.n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, table, layering.n_layers, stochastic))
+    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
+    beyond = _border_colours(passes) if border else [None] * len(passes)
+    parts = _all_parts(highlights.dimmed(passes), members, beyond, layering.n_layers, table.n_variants)
+    splats = list(_splat_passes(parts, table, layering.n_layers, wide))
     variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
     alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
+    own = highlights.splats(passes, members, table, len(variants), wide)
     merged = [merge_blocks(each, variation, 0.0 if dense_psf else options.tolerance) for each in splats]
     plan = Plan(
-        sources=[levels for levels, _ in merged] + [[each] for each in alone],
+        sources=[levels for levels, _ in merged] + [[each] for each in (*alone, *own)],
         table=table,
-        n_variants=len(variants) + len(highlights.psfs),
+        n_variants=len(variants),
         n_layers=layering.n_layers,
         members=members,
         cells_used={variant.cell for variant in variants if variant != SHARP},
@@ -299,10 +299,13 @@ def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
 
 
 def _all_parts(
-    passes: Sequence[Pixels], members: Sequence[Membership], border: bool, n_layers: int, n_variants: int
+    passes: Sequence[Pixels],
+    members: Sequence[Membership],
+    beyond: Sequence[Colours | None],
+    n_layers: int,
+    n_variants: int,
 ) -> Iterator[_Part]:
-    """Yield all parts of all pixels."""
-    beyond = _border_colours(passes) if border else [None] * len(passes)
+    """Yield all parts of all pixels, with the colours beyond the border of each pass."""
     for pixels, member, colours in zip(passes, members, beyond, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):
@@ -324,9 +327,10 @@ def _parts(
             yield label, share
 
 
-def _splat_passes(parts: Iterator[_Part], table: PointTable, n_layers: int, stochastic: bool) -> Iterator[SplatPass]:
+def _splat_passes(
+    parts: Iterator[_Part], table: PointTable, n_layers: int, wide: npt.NDArray[np.bool_]
+) -> Iterator[SplatPass]:
     """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
-    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     shifted = []
     for pixels, label, weight, colours in parts:
         if pixels.labels.shift is None:
