@@ -10,8 +10,10 @@ import numpy as np
 
 from spreadlets.compiled import kernel
 
-EDGE_LINES = 16
-"""Lines across a pixel at the rim: with them the pixels of a disc err by 1 % of its level at most."""
+EDGE_LINES, THIN_LINES = 8, 16
+"""Lines across a pixel at the rim: with them the pixels of a disc err by 1 % of its level or so; and for a disc that is
+thinner than `THIN_RADIUS_PX`, which lines across a pixel could miss."""
+THIN_RADIUS_PX = 2.0
 INNER_LINES = 2
 """Lines across a pixel away from the rim, where the light hardly changes across."""
 RIM_PX = 1.25
@@ -84,7 +86,8 @@ def _draw_capsule(radius, length, angle, offset_rc, value):
     """List the pixels of one capsule, of unit sum; return how many there are."""
     half_row, half_col = half_sizes(radius, length, angle)
     radius, path = max(radius, LEAST_RADIUS_PX), 0.5 * length
-    edge, inner = np.empty((EDGE_LINES, 4)), np.empty((INNER_LINES, 4))
+    edge = np.empty((THIN_LINES if radius < THIN_RADIUS_PX else EDGE_LINES, 4))
+    inner = np.empty((INNER_LINES, 4))
     _lines_through_pixel(angle, edge)
     _lines_through_pixel(angle, inner)
     cos, sin = math.cos(angle), math.sin(angle)

@@ -56,11 +56,9 @@ def heading_step(radius, step):
 
 
 @kernel
-def _pixels_about(row, col, shape, half):
-    """Return how many pixels of a frame are no more than ``half`` rows and columns from a pixel."""
-    rows = min(row + half, shape[0] - 1) - max(row - half, 0) + 1
-    cols = min(col + half, shape[1] - 1) - max(col - half, 0) + 1
-    return rows * cols
+def _pixels_about(place, size, half):
+    """Return how many pixels of a row, or a column, of a size are no farther than ``half`` from one of them."""
+    return min(place + half, size - 1) - max(place - half, 0) + 1
 
 
 @kernel
@@ -81,8 +79,10 @@ def standing_out(first, last, light, sums, half, ratio, excess):
     height, width = light.shape
     for part in range(first, last):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
-        total = np.zeros((2, end - begin))
+        total, n_cols = np.zeros((2, end - begin)), np.empty((2, end - begin), np.int64)
         for k in range(2):
+            for col in range(begin, end):
+                n_cols[k, col - begin] = _pixels_about(col, width, half[k])
             for row in range(min(half[k], height)):
                 total[k] += sums[k, row, begin:end]
         for row in range(height):
@@ -91,13 +91,15 @@ def standing_out(first, last, light, sums, half, ratio, excess):
                     total[k] += sums[k, row + half[k], begin:end]
                 if row > half[k]:
                     total[k] -= sums[k, row - half[k] - 1, begin:end]
+            n_rows = _pixels_about(row, height, half[0]), _pixels_about(row, height, half[1])
             for col in range(begin, end):
-                group, n_group = total[0, col - begin], _pixels_about(row, col, light.shape, half[0])
-                n_around = _pixels_about(row, col, light.shape, half[1]) - n_group
-                level = max(total[1, col - begin] - group, 0.0) / max(n_around, 1)
-                own = np.float64(light[row, col])
+                own, group = np.float64(light[row, col]), total[0, col - begin]
+                n_group = n_rows[0] * n_cols[0, col - begin]
+                n_around = n_rows[1] * n_cols[1, col - begin] - n_group
+                around = total[1, col - begin] - group
                 excess[row, col] = 0.0
-                if own > ratio * level:
+                if own * n_around > ratio * around:
+                    level = max(around, 0.0) / max(n_around, 1)
                     more = max(group - n_group * level, own - level)
                     excess[row, col] = more * np.float64(display_slope(np.float32(level)))
 
