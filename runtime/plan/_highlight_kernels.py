@@ -19,33 +19,36 @@ COLUMNS = 64
 
 
 @kernel
-def light_and_sums(begin, end, radiance, half, light, sums):
-    """Take the brightest channel of each pixel, and its sums along rows.
+def brightest(begin, end, radiance, light):
+    """Fill ``light`` (H, W), float32, with the largest of R, G and B of each pixel of (H, W, 4)."""
+    for row in range(begin, end):
+        for col in range(light.shape[1]):
+            light[row, col] = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
+
+
+@kernel
+def sums_along_rows(begin, end, plane, half, sums):
+    """Sum a plane (H, W), float32, along its rows.
 
     Parameters
     ----------
-    radiance : ndarray of shape (H, W, 4), float32
     half : tuple of two ints
         Sums are over those of the ``2 half + 1`` pixels about each that are in the frame.
-    light : ndarray of shape (H, W), float32
-        Filled.
     sums : ndarray of shape (2, H, W), float32
         Filled, for each half.
     """
-    width = light.shape[1]
+    width = plane.shape[1]
     for row in range(begin, end):
-        for col in range(width):
-            light[row, col] = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
         for k in range(2):
             reach = half[k]
             total = np.float64(0.0)
             for col in range(min(reach, width)):
-                total += light[row, col]
+                total += plane[row, col]
             for col in range(width):
                 if col + reach < width:
-                    total += light[row, col + reach]
+                    total += plane[row, col + reach]
                 if col > reach:
-                    total -= light[row, col - reach - 1]
+                    total -= plane[row, col - reach - 1]
                 sums[k, row, col] = total
 
 
@@ -62,45 +65,66 @@ def _pixels_about(place, size, half):
 
 
 @kernel
-def standing_out(first, last, light, sums, half, ratio, excess):
+def _move_down(total, sums, row, half, begin, end):
+    """Move sums over rows (2, n) from the pixels of a row to those of the next, the columns from begin to end."""
+    height = sums.shape[1]
+    for k in range(2):
+        if row + half[k] < height:
+            total[k] += sums[k, row + half[k], begin:end]
+        if row > half[k]:
+            total[k] -= sums[k, row - half[k] - 1, begin:end]
+
+
+@kernel
+def standing_out(first, last, light, sums, counts, half, limits, excess):
     """Find the pixels that stand out, and how much light their group adds to the display.
 
     Parameters
     ----------
-    light, sums, half
-        See `light_and_sums`: the sums over the width of a group of pixels, and over that of its surroundings.
-    ratio : float
-        How many times brighter than its surroundings a pixel must be.
+    light, half
+        See `brightest` and `sums_along_rows`.
+    sums : ndarray of shape (2, H, W), float32
+        Of the light, over the width of a group of pixels, and over that of its surroundings.
+    counts : ndarray of shape (2, H, W) or (0, 0, 0), float32
+        The same of the share of each pixel that is known; empty if all are.
+    limits : tuple of two floats
+        How many times brighter than its surroundings a pixel must be; how much of them must be known.
     excess : ndarray of shape (H, W), float32
         Filled with what the group about the pixel, or the pixel by itself, has above the mean of the surroundings,
         times the display's slope at that mean; 0 where the pixel does not stand out. Divided by the area of a PSF, it
         is how much the display changes under it.
     """
     height, width = light.shape
+    ratio, least_known = limits
     for part in range(first, last):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
-        total, n_cols = np.zeros((2, end - begin)), np.empty((2, end - begin), np.int64)
+        total, known, n_cols = np.zeros((2, end - begin)), np.zeros((2, end - begin)), np.empty((2, end - begin))
         for k in range(2):
             for col in range(begin, end):
                 n_cols[k, col - begin] = _pixels_about(col, width, half[k])
             for row in range(min(half[k], height)):
                 total[k] += sums[k, row, begin:end]
+                if counts.shape[0]:
+                    known[k] += counts[k, row, begin:end]
         for row in range(height):
-            for k in range(2):
-                if row + half[k] < height:
-                    total[k] += sums[k, row + half[k], begin:end]
-                if row > half[k]:
-                    total[k] -= sums[k, row - half[k] - 1, begin:end]
-            n_rows = _pixels_about(row, height, half[0]), _pixels_about(row, height, half[1])
+            _move_down(total, sums, row, half, begin, end)
+            if counts.shape[0]:
+                _move_down(known, counts, row, half, begin, end)
+            else:
+                for k in range(2):
+                    known[k] = _pixels_about(row, height, half[k]) * n_cols[k]
+            least = least_known * _pixels_about(row, height, half[1])
             for col in range(begin, end):
-                own, group = np.float64(light[row, col]), total[0, col - begin]
-                n_group = n_rows[0] * n_cols[0, col - begin]
-                n_around = n_rows[1] * n_cols[1, col - begin] - n_group
-                around = total[1, col - begin] - group
+                i = col - begin
+                own, n_around, around = (
+                    np.float64(light[row, col]),
+                    known[1, i] - known[0, i],
+                    total[1, i] - total[0, i],
+                )
                 excess[row, col] = 0.0
-                if own * n_around > ratio * around:
-                    level = max(around, 0.0) / max(n_around, 1)
-                    more = max(group - n_group * level, own - level)
+                if n_around > least * n_cols[1, i] and own * n_around > ratio * max(around, 0.0):
+                    level = max(around, 0.0) / n_around
+                    more = max(total[0, i] - known[0, i] * level, own - level)
                     excess[row, col] = more * np.float64(display_slope(np.float32(level)))
 
 

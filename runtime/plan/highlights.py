@@ -35,6 +35,8 @@ HALF_WIDTHS = 3, 15
 """Of the group of pixels that a highlight may be, and of its surroundings, px."""
 STANDS_OUT = 5.0
 """How many times brighter than its surroundings a pixel of a highlight is; along a straight edge it is twice."""
+LEAST_KNOWN = 0.25
+"""Share of its surroundings that must be known to tell whether a pixel stands out."""
 LEAST_CHANGE = 8.0 * DEFAULT_TOLERANCE
 """Change of the display under a PSF from which its rim shows. The rim of a cell's PSF is a ramp in place of a step: off
 by half of the level at most, and by an eighth in the mean, which is then the error that merging is allowed, too."""
@@ -101,7 +103,12 @@ class Highlights(NamedTuple):
 
 
 def find_highlights(
-    passes: Sequence[Pixels], keys: Sequence[IntArray], model: PsfModel, exact_psf: ExactPsf | None
+    passes: Sequence[Pixels],
+    keys: Sequence[IntArray],
+    model: PsfModel,
+    exact_psf: ExactPsf | None,
+    *,
+    stochastic: bool = False,
 ) -> Highlights:
     """Find the pixels whose light shows the rim of a PSF, and make their PSFs.
 
@@ -113,15 +120,47 @@ def find_highlights(
     model : PsfModel
     exact_psf : ExactPsf or None
         What makes the PSFs; None if there are none but those of cells.
+    stochastic : bool
+        Whether the pixels are samples, which may be missing.
     """
     if exact_psf is None:
         return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
-    found = zip(passes, keys, _excesses(passes), strict=True)
+    found = zip(passes, keys, _excesses(passes, stochastic), strict=True)
     codes = [_codes(pixels, key, excess, model) for pixels, key, excess in found]
     used, number = _numbered(codes)
     view = passes[0].labels.view
     coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
     return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
+
+
+def rounded(
+    coordinate: DoubleArray, direction: DoubleArray, side: IntArray, model: PsfModel
+) -> tuple[DoubleArray, DoubleArray, IntArray]:
+    """Return coordinates, directions and sides as the PSFs of highlights have them.
+
+    Parameters
+    ----------
+    coordinate : ndarray of shape (n, n_axes), float64
+        In the units of the model's axes, the first of which is the CoC radius.
+    direction : ndarray of shape (n,), float64
+        Radians.
+    side : ndarray of shape (n,), int64
+        1 behind the focus, -1 in front of it.
+    model : PsfModel
+    """
+    view = model.settings.get("view", {"width_px": 1, "sensor_width_mm": 1.0})
+    mm_per_px = view["sensor_width_mm"] / view["width_px"]
+    heading = np.zeros((1, len(coordinate), 2), np.float32)
+    if model.has_direction:
+        size = coordinate[:, -1] / (1.0 if model.has_motion else mm_per_px)
+        heading[0] = (size * np.stack([np.cos(direction), np.sin(direction)])).T
+    coc = (side * coordinate[:, 0]).astype(np.float32)[None]
+    steps = RADIUS_STEPS, _longest_step(model, view["width_px"]), model.symmetry.sign != "ignored"
+    code = np.empty(coc.shape, np.int64)
+    every = np.ones(coc.shape, np.int64), np.full(coc.shape, np.inf, np.float32)
+    shape = coc, np.zeros_like(coc), heading
+    _highlight_kernels.highlight_codes(0, 1, *every, shape, steps, (0.0, np.inf), code)
+    return _coordinates(code[0], model, view["width_px"], mm_per_px)
 
 
 def _dimmed(pixels: Pixels, is_highlight: BoolArray) -> Pixels:
@@ -194,20 +233,30 @@ class _Lights(NamedTuple):
         return SplatPass((0, 0), np.ascontiguousarray(self.radiance[None]), self.label[None], shift[None])
 
 
-def _excesses(passes: Sequence[Pixels]) -> list[FloatArray]:
+def _excesses(passes: Sequence[Pixels], stochastic: bool) -> list[FloatArray]:
     """Return how far each pixel stands out, see the kernel; passes often share their colours."""
     colours = {id(pixels.radiance): pixels.radiance for pixels in passes}
-    found = {key: _excess(radiance) for key, radiance in colours.items()}
+    found = {key: _excess(radiance, stochastic) for key, radiance in colours.items()}
     return [found[id(pixels.radiance)] for pixels in passes]
 
 
-def _excess(radiance: Image) -> FloatArray:
+def _excess(radiance: Image, stochastic: bool) -> FloatArray:
     shape = radiance.shape[:2]
-    light, excess, sums = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((2, *shape), np.float32)
-    for_bands(_highlight_kernels.light_and_sums, shape[0], radiance, HALF_WIDTHS, light, sums)
+    light, excess = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for_bands(_highlight_kernels.brightest, shape[0], radiance, light)
+    # A pixel without a sample is not dark: nothing is known of it.
+    counts = _row_sums(radiance[..., 3]) if stochastic else np.zeros((0, 0, 0), np.float32)
+    limits = STANDS_OUT, LEAST_KNOWN
     n_stripes = -(-shape[1] // _highlight_kernels.COLUMNS)
-    for_bands(_highlight_kernels.standing_out, n_stripes, light, sums, HALF_WIDTHS, STANDS_OUT, excess)
+    planes = light, _row_sums(light), counts
+    for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess)
     return excess
+
+
+def _row_sums(plane: FloatArray) -> FloatArray:
+    sums = np.empty((2, *plane.shape), np.float32)
+    for_bands(_highlight_kernels.sums_along_rows, len(plane), np.ascontiguousarray(plane), HALF_WIDTHS, sums)
+    return sums
 
 
 def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> IntArray:

@@ -160,7 +160,7 @@ def plan_pixels(
     for key, index in zip(keys, indices, strict=True):
         for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    highlights = find_highlights(passes, keys, database.grid.model, exact_psf)
+    highlights = find_highlights(passes, keys, database.grid.model, exact_psf, stochastic=stochastic)
     points = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
