@@ -37,9 +37,9 @@ STANDS_OUT = 5.0
 """How many times brighter than its surroundings a pixel of a highlight is; along a straight edge it is twice."""
 LEAST_KNOWN = 0.25
 """Share of its surroundings that must be known to tell whether a pixel stands out."""
-LEAST_CHANGE = 8.0 * DEFAULT_TOLERANCE
-"""Change of the display under a PSF from which its rim shows. The rim of a cell's PSF is a ramp in place of a step: off
-by half of the level at most, and by an eighth in the mean, which is then the error that merging is allowed, too."""
+LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
+"""Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
+of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
 RADIUS_STEPS = 48.0
 """CoC radii are rounded to steps of ``2 sqrt(r) / 48``, with which cells grow, too: by 1 % at 4 px, 1/6 px at 64 px."""
 PATH_STEP_PX = 1.0
