@@ -14,6 +14,8 @@ HEADING_ZERO = 1 << (HEADING_BITS - 1)
 """Bits of a code for each of a heading's two steps; where 0 lies."""
 THIN_RADIUS = 4.0
 """CoC radius, px, below which headings are rounded to finer steps."""
+EDGE_WIDTH = 3
+"""How wide the edge of a lamp may be, px: filters of renderers reach about so far."""
 COLUMNS = 64
 """Columns that are summed down together: they share their lines of the cache."""
 
@@ -129,13 +131,48 @@ def standing_out(first, last, light, sums, counts, half, limits, excess):
 
 
 @kernel
+def sources_of_light(begin, end, light, excess, ratio, source):
+    """Find the pixels that the light of those that stand out is from: of a much brighter neighbour, or their own.
+
+    Along the edge of a lamp pixels are blends: their light is the lamp's, their depth may be of what is behind.
+
+    Parameters
+    ----------
+    light, excess : ndarray of shape (H, W), float32
+        See `brightest` and `standing_out`.
+    ratio : float
+        How many times as bright a neighbour must be.
+    source : ndarray of shape (H, W), int64
+        Filled with their places in the flattened frame.
+    """
+    height, width = light.shape
+    for row in range(begin, end):
+        for col in range(width):
+            here, there = row * width + col, -1
+            source[row, col] = here
+            if excess[row, col] == 0.0:
+                continue
+            for _ in range(EDGE_WIDTH):
+                y, x = here // width, here % width
+                there = here
+                for i in range(max(y - 1, 0), min(y + 2, height)):
+                    for j in range(max(x - 1, 0), min(x + 2, width)):
+                        if light[i, j] > light[there // width, there % width]:
+                            there = i * width + j
+                if light[there // width, there % width] <= ratio * light[y, x]:
+                    break
+                here = there
+            source[row, col] = here
+
+
+@kernel
 def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
     """Pack the labels of highlights, rounded, into codes.
 
     Parameters
     ----------
     key : ndarray of shape (H, W), int64
-        See `runtime.plan._plan_kernels.variant_keys`: pixels that are invisible or stay sharp are none.
+        See `runtime.plan._plan_kernels.variant_keys`: pixels that are invisible are none.
     excess : ndarray of shape (H, W), float32
         See `standing_out`.
     labels : tuple of three ndarrays
@@ -155,7 +192,7 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
     for row in range(begin, end):
         for col in range(key.shape[1]):
             code[row, col] = NOT_ALONE
-            if key[row, col] <= 0 or excess[row, col] == 0.0:
+            if key[row, col] < 0 or excess[row, col] == 0.0:
                 continue
             radius = abs(np.float64(coc[row, col]))
             area = max(math.pi * radius * radius + 2.0 * radius * np.float64(length[row, col]), 1.0)

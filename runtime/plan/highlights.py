@@ -28,6 +28,7 @@ from spreadlets.runtime.label.pixels import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
 from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE
+from spreadlets.runtime.plan._plan_kernels import INVISIBLE, SHARP
 from spreadlets.runtime.plan.layering import Membership
 from spreadlets.runtime.splat.passes import PointTable, SplatPass
 
@@ -35,6 +36,8 @@ HALF_WIDTHS = 3, 15
 """Of the group of pixels that a highlight may be, and of its surroundings, px."""
 STANDS_OUT = 5.0
 """How many times brighter than its surroundings a pixel of a highlight is; along a straight edge it is twice."""
+MUCH_BRIGHTER = 2.0
+"""How many times as bright a neighbour is for a pixel to be the edge of it, with its light."""
 LEAST_KNOWN = 0.25
 """Share of its surroundings that must be known to tell whether a pixel stands out."""
 LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
@@ -125,8 +128,10 @@ def find_highlights(
     """
     if exact_psf is None:
         return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
-    found = zip(passes, keys, _excesses(passes, stochastic), strict=True)
-    codes = [_codes(pixels, key, excess, model) for pixels, key, excess in found]
+    lights = _lights(passes, stochastic)
+    found = zip(passes, keys, lights, strict=True)
+    codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
+    codes = _from_sources(passes, keys, codes, lights)
     used, number = _numbered(codes)
     view = passes[0].labels.view
     coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
@@ -233,16 +238,24 @@ class _Lights(NamedTuple):
         return SplatPass((0, 0), np.ascontiguousarray(self.radiance[None]), self.label[None], shift[None])
 
 
-def _excesses(passes: Sequence[Pixels], stochastic: bool) -> list[FloatArray]:
-    """Return how far each pixel stands out, see the kernel; passes often share their colours."""
+class _Light(NamedTuple):
+    """What the colours of some passes say: how far each pixel stands out, and where its light is from."""
+
+    excess: FloatArray
+    source: IntArray
+    """See the kernels; each (H, W)."""
+
+
+def _lights(passes: Sequence[Pixels], stochastic: bool) -> list[_Light]:
+    """Return what the colours of each pass say; passes often share them."""
     colours = {id(pixels.radiance): pixels.radiance for pixels in passes}
-    found = {key: _excess(radiance, stochastic) for key, radiance in colours.items()}
+    found = {key: _light(radiance, stochastic) for key, radiance in colours.items()}
     return [found[id(pixels.radiance)] for pixels in passes]
 
 
-def _excess(radiance: Image, stochastic: bool) -> FloatArray:
+def _light(radiance: Image, stochastic: bool) -> _Light:
     shape = radiance.shape[:2]
-    light, excess = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    light, excess, source = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int64)
     for_bands(_highlight_kernels.brightest, shape[0], radiance, light)
     # A pixel without a sample is not dark: nothing is known of it.
     counts = _row_sums(radiance[..., 3]) if stochastic else np.zeros((0, 0, 0), np.float32)
@@ -250,7 +263,36 @@ def _excess(radiance: Image, stochastic: bool) -> FloatArray:
     n_stripes = -(-shape[1] // _highlight_kernels.COLUMNS)
     planes = light, _row_sums(light), counts
     for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess)
-    return excess
+    # Neighbours among samples have seen a lamp through other places of the lens.
+    ratio = np.inf if stochastic else MUCH_BRIGHTER
+    for_bands(_highlight_kernels.sources_of_light, shape[0], light, excess, ratio, source)
+    return _Light(excess, source)
+
+
+def _from_sources(
+    passes: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
+) -> list[IntArray]:
+    """Give the edges of lamps the codes of what their light is from, in whichever pass that is drawn."""
+    changed = []
+    for key, code, light in zip(keys, codes, lights, strict=True):
+        at = np.flatnonzero(code != NOT_ALONE)
+        source = light.source.ravel()[at]
+        most, best = np.zeros(len(at), np.float32), code.ravel()[at]
+        # What stays sharp needs no PSF of its own, save for the light that is another's.
+        best[(source == at) & (key.ravel()[at] == SHARP)] = NOT_ALONE
+        edges = source != at
+        for pixels, other, known, shared in zip(passes, keys, codes, lights, strict=True):
+            if shared is not light or not edges.any():
+                continue
+            weight = np.where(other.ravel()[source] == INVISIBLE, np.float32(0.0), np.float32(1.0))
+            if len(pixels.weight):
+                weight *= pixels.weight.ravel()[source]
+            better = edges & (weight > most) & (known.ravel()[source] != NOT_ALONE)
+            most[better], best[better] = weight[better], known.ravel()[source[better]]
+        mended = code.copy() if len(at) else code
+        mended.ravel()[at] = best
+        changed.append(mended)
+    return changed
 
 
 def _row_sums(plane: FloatArray) -> FloatArray:

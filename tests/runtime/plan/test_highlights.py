@@ -156,3 +156,31 @@ def test_a_lamp_among_samples_has_its_own_psf(small_combined):
     lamp = image[..., 0] - 0.2
     row = lamp[MIDDLE, MIDDLE:] / lamp[MIDDLE - 3 : MIDDLE + 4, MIDDLE - 3 : MIDDLE + 4].mean()
     assert ((row > 0.1) & (row < 0.9)).sum() <= 2
+
+
+@pytest.mark.parametrize("behind", [0.2, 4.0])
+def test_the_edge_of_a_lamp_has_the_psf_of_the_lamp(small_combined, behind):
+    """Pixels along its edge have the lamp's light and the depth of what is behind: two steps down, an eighth each."""
+    frame = lamp_frame(behind)
+    rows, cols = np.indices((SIZE, SIZE)) - MIDDLE
+    far = np.maximum(np.abs(rows), np.abs(cols))
+    for distance, light in enumerate((1000.0, 125.0, 16.0)):
+        frame.radiance[far == distance, :3] = light
+    frame.depth[far == 0] = depth_of(9.3)
+    image = synthesize(frame, CAMERA, small_combined, layers=1)
+    total = frame.radiance[..., 0].sum(dtype=np.float64) - 0.2 * SIZE**2
+    spread = np.hypot(rows, cols)
+    added = (image[..., 0] - 0.2) / total
+    # All of it lies in the lamp's disc, widened by the two steps; what is behind is as it was.
+    assert added[spread < 13.0].sum() == pytest.approx(1.0, abs=0.03)
+    assert added[MIDDLE, MIDDLE + 5] == pytest.approx(1.0 / (np.pi * 9.3**2), rel=0.02)
+    assert np.abs(image[spread > 14.0][:, 0] - 0.2).max() < 5e-3
+
+
+def test_the_edge_of_a_lamp_in_focus_stays_with_it(small_combined):
+    frame = lamp_frame(9.0, light=400.0)
+    frame.depth[MIDDLE, MIDDLE] = depth_of(0.0)
+    frame.radiance[MIDDLE, MIDDLE + 1, :3] = 100.0
+    image = synthesize(frame, CAMERA, small_combined, layers=1)
+    assert image[MIDDLE, MIDDLE + 1, 0] > 90.0
+    assert image[MIDDLE, MIDDLE - 5, 0] < 0.3, "no disc about it"
