@@ -118,13 +118,10 @@ def mark_keys(begin, end, key, place):
 
 @kernel
 def replace_keys(begin, end, key, place, label):
-    """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible; count the latter."""
-    invisible = 0
+    """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible."""
     for row in range(begin, end):
         for col in range(key.shape[1]):
             label[row, col] = place[key[row, col]] if key[row, col] >= 0 else -1
-            invisible += key[row, col] < 0
-    return invisible
 
 
 @kernel
