@@ -29,7 +29,9 @@ SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_c
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 DEFAULT_LAYERS = 4
-"""Layers of a frame that comes without any."""
+"""Layers of a buffer of samples."""
+MOST_LAYERS = 12
+"""Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""
 MAX_LAYERS = 64
 DEFAULT_SOFTNESS = 1.0
 """Width of the transition from one layer to the next, in layers."""

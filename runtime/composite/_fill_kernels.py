@@ -4,18 +4,22 @@ import numpy as np
 
 from spreadlets.compiled import kernel
 
-COVERAGE, COUNT, LAST = range(3)
-"""What a layer's sums are measured by: the share that was seen; that plus the sums' own weight; their weight alone."""
+COVERAGE, COUNT, REST, LAST = range(4)
+"""What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
+alone."""
 
 
 @kernel
 def _measure(weight, seen, kind):
     """Return by what the sums of a pixel are divided."""
+    own = max(weight, np.float32(0.0))
     if kind == LAST:
-        return max(weight, np.float32(0.0))
+        return own
     if kind == COUNT:
-        return max(weight, np.float32(0.0)) + seen
-    return max(weight, seen)
+        return own + seen
+    if kind == REST:
+        return own + max(np.float32(1.0) - own, np.float32(0.0)) * seen
+    return max(own, np.float32(1.0))
 
 
 @kernel
@@ -55,9 +59,9 @@ def add_layer(begin, end, image, padded, top, left, seen, kind):
     top, left : int
         Row and column, in the image, of the canvas's first pixel.
     seen : ndarray of shape (H, W) or (0, 0), float32
-        Share of the layer that was seen, or number of samples that passed it; empty if all of it was seen.
+        Number of samples that passed the layer, or share of what it leaves that lies beyond; empty if all does.
     kind : int
-        `COVERAGE`, `COUNT` or `LAST`; the last layer is opaque.
+        `COVERAGE`, `COUNT`, `REST` or `LAST`; the last layer is opaque.
     """
     rows, cols = padded.shape[:2]
     one = np.float32(1.0)

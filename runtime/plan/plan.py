@@ -167,7 +167,8 @@ def plan_pixels(
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
-    layering = Layering.of(list(zip(labels, indices, strict=True)), n_layers, options.softness)
+    divide = Layering.equal if stochastic else Layering.fitted
+    layering = divide(list(zip(labels, indices, strict=True)), n_layers, options.softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
     parts = _all_parts(passes, members, border, layering.n_layers, table.n_variants)
     splats = list(_splat_passes(parts, table, layering.n_layers, stochastic))
