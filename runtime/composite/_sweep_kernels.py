@@ -44,7 +44,9 @@ def sum_spans(begin, end, sums, first, last, mean):
                     continue
                 low, high = col + left, col + right
                 total[col] += line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
-                total[col] += before * (max(-low, 0) - max(-high, 0)) + behind * (max(high - width, 0) - max(low - width, 0))
+                total[col] += before * (max(-low, 0) - max(-high, 0)) + behind * (
+                    max(high - width, 0) - max(low - width, 0)
+                )
         for col in range(width):
             mean[row, col] = total[col] * scale
 
@@ -65,7 +67,7 @@ def shrink(begin, end, image, factor, small):
 
 @kernel
 def enlarge(begin, end, small, factor, image):
-    """Fill ``image`` with ``small``, whose pixels are blocks of ``factor`` x ``factor`` pixels, interpolated linearly."""
+    """Fill ``image`` with ``small``, the means of blocks of ``factor`` x ``factor`` pixels, interpolated linearly."""
     height, width = small.shape
     for row in range(begin, end):
         y = min(max((row + 0.5) / factor - 0.5, 0.0), height - 1.0)

@@ -14,7 +14,7 @@ LEAST_SEEN = 0.3
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
 
-__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "add_layer", "is_opaque"]
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_opaque"]
 
 
 def add_layer(

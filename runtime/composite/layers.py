@@ -30,6 +30,12 @@ class Moments(NamedTuple):
     length_squared: float
     motion: tuple[float, float]
 
+    def disc_radius(self) -> float:
+        """Radius, px, of the disc that, swept along the mean motion, blurs as the layer's PSFs do in the mean."""
+        # What differs from the mean motion blurs to all sides; for both variances see below.
+        unlike = max(self.length_squared - self.motion[0] ** 2 - self.motion[1] ** 2, 0.0)
+        return math.sqrt(self.coc_squared + unlike / 6.0)
+
     def box_half_width(self) -> int:
         """Half-width, px, of the box that blurs, applied twice, as the layer's PSFs do in the mean."""
         # A disc of radius r has the variance r^2 / 4 along each axis, a path of length l the mean variance l^2 / 24.
@@ -52,9 +58,7 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
     return Moments(coc, coc_squared, length_squared, (x, y))
 
 
-def share_beyond(
-    passes: Sequence[tuple[Membership, tuple[Image, Image]]], number: int, moments: Moments
-) -> Image:
+def share_beyond(passes: Sequence[tuple[Membership, tuple[Image, Image]]], number: int, moments: Moments) -> Image:
     """Return how much of what a layer leaves lies beyond it, blurred as the layer is, shape (H, W).
 
     Parameters
@@ -69,9 +73,9 @@ def share_beyond(
     beyond += 1.0
     for members, cover in passes:
         for_bands(_visibility_kernels.add_cover, len(beyond), *members, *cover, number, nearer, beyond)
-    radius = math.sqrt(moments.coc_squared)
-    nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), radius, moments.motion) for each in (nearer, beyond))
-    return beyond / np.maximum(nearer + beyond, LEAST_REST)
+    blur = moments.disc_radius(), moments.motion
+    nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), *blur) for each in (nearer, beyond))
+    return np.asarray(beyond / np.maximum(nearer + beyond, LEAST_REST), np.float32)
 
 
 def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:

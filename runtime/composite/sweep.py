@@ -11,7 +11,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _sweep_kernels
 
 FINEST_RADIUS = 8.0
-"""Discs of up to twice this radius, px, are drawn pixel by pixel; wider ones on an image of half the size, and so on."""
+"""Discs of up to twice this radius, px, are summed pixel by pixel; wider ones at half the size, and so on."""
 
 
 def sweep_blur(image: Image, radius: float, path: tuple[float, float]) -> Image:

@@ -20,8 +20,12 @@ ACROSS = 0.6
 """The same where there is no direction: at corners and dots."""
 TRUST_NEAR, TRUST_FAR = 0.15, 0.05
 """Deviations of the coverage that is found by that mean: within a pixel of the surface, and farther from it."""
+TRUST_DEPTH = 0.02
+"""Deviation of a coverage that filtered depth tells."""
 LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
 """Deviation of a surface's colour: at least so much, and so much of itself."""
+LAMP_RATIO = 4.0
+"""How many times as bright as usual a surface's pixel may be before it is taken to show something else."""
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
 
@@ -131,17 +135,35 @@ def _edge_share(place, row, col, low, high, inside):
 
 
 @kernel
+def _brightness(colour):
+    """Return the brightest channel of a colour."""
+    return np.float64(max(colour[0], colour[1], colour[2]))
+
+
+@kernel
 def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
-    """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns."""
+    """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns.
+
+    Next to a lamp, the lamp's light in a surface's pixels may be far more than their own. So those that are many times
+    brighter than the geometric mean of the surface's pixels count little.
+    """
     height, width = place.shape
     sums[:] = 0.0
-    for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
-        for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
-            each = place[i, j]
-            for s in range(count):
-                if bounds[s, 0] <= each <= bounds[s, 1]:
+    for part in range(2):
+        for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
+            for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
+                for s in range(count):
+                    if not bounds[s, 0] <= place[i, j] <= bounds[s, 1]:
+                        continue
                     near = 1.0 / (1.0 + 0.25 * ((i - row) ** 2 + (j - col) ** 2))
                     weight = near * np.float64(purity[i, j]) ** PURITY_POWER
+                    light = _brightness(radiance[i, j])
+                    if part == 0:
+                        sums[s, 11] += weight
+                        sums[s, 12] += weight * math.log(light + NEGLIGIBLE)
+                        continue
+                    usual = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
+                    weight /= 1.0 + max(light / usual - 1.0, 0.0) ** 2
                     sums[s, 0] += weight
                     sums[s, 1] += near
                     sums[s, 2] += weight * purity[i, j]
@@ -155,8 +177,8 @@ def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
 def _colour_models(count, sums, mean, variance):
     """Fill mean and variance (MOST, 4) of each surface's colour from sums over its pixels.
 
-    Columns of ``sums``: weight, weight by distance alone, purity, colours, their squares. What is impure of the pixels
-    shows the other surfaces; their mean is taken out.
+    Columns of ``sums``: weight, weight by distance alone, purity, colours, their squares; two are of the first sum.
+    What is impure of the pixels shows the other surfaces; their mean is taken out.
     """
     for s in range(count):
         share = sums[s, 2] / sums[s, 0]
@@ -213,7 +235,7 @@ def _fit_shares(colour, mean, variance, trust, count, share):
 
 @kernel
 def _divide(colour, mean, variance, share, count, colours):
-    """Fill the colours (MOST, 4) of a pixel's surfaces: the most likely ones that add up to the pixel's, none below 0."""
+    """Fill the likeliest colours (MOST, 4) of a pixel's surfaces that add up to the pixel's; none is below 0."""
     for c in range(4):
         missing, noise = np.float64(colour[c]), 1e-12
         for s in range(count):
@@ -260,7 +282,7 @@ def _is_mixed(place, row, col, gap):
 
 
 @kernel
-def divide_pixels(begin, end, place, radiance, purity, gap, source, share, colours):
+def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share, colours):
     """Explain each pixel by up to `MOST` surfaces around it, its own first.
 
     Parameters
@@ -270,6 +292,8 @@ def divide_pixels(begin, end, place, radiance, purity, gap, source, share, colou
     radiance : ndarray of shape (H, W, 4), float32
     purity : ndarray of shape (H, W), float32
         See `find_purity`.
+    known : ndarray of shape (H, W), float32
+        Share of the nearer of two surfaces where the depth tells it, else -1.
     gap : float
         Difference of places that parts two surfaces.
     source : ndarray of shape (H, W, MOST, 2), int32
@@ -286,7 +310,7 @@ def divide_pixels(begin, end, place, radiance, purity, gap, source, share, colou
     """
     window = (2 * REACH + 1) ** 2
     spare, inside, bounds = (np.empty(window), np.empty(window)), np.empty((13, 13)), np.empty((MOST, 2))
-    sums, mean, variance = np.empty((MOST, 11)), np.empty((MOST, 4)), np.empty((MOST, 4))
+    sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
     each, trust = np.empty(MOST), np.ones(MOST)
     mixed = 0
     for row in range(begin, end):
@@ -307,6 +331,10 @@ def divide_pixels(begin, end, place, radiance, purity, gap, source, share, colou
                 total += each[s]
             each /= total
             _find_sources(place, purity, row, col, bounds, count, source[row, col], trust)
+            if count == 2 and known[row, col] >= 0.0:
+                nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
+                each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
+                trust[1] = TRUST_DEPTH
             _add_colours(place, radiance, purity, row, col, bounds, count, sums)
             _colour_models(count, sums, mean, variance)
             _fit_shares(radiance[row, col], mean, variance, trust, count, each)

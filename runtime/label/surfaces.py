@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _label_kernels, _surface_kernels
+from spreadlets.runtime.label import _blend_kernels, _label_kernels, _surface_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -43,22 +43,70 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
     Bayesian matting (Chuang et al. 2001) in closed form, for up to three surfaces, whose depths are known.
     """
     height, width = layer.shape
-    place, purity = np.empty((2, height, width), np.float32)
-    optics = camera.coc_scale(width), 1.0 / camera.focus_distance_m
-    for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, place)
+    place, known = _places(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    if depth_is_filtered(place):
+        layer, known = without_filter(layer, place)
+        place = _places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
+    purity = np.empty_like(place)
     for_bands(_surface_kernels.find_purity, height, place, LEAST_GAP, purity)
     source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
     share = np.empty((height, width, _surface_kernels.MOST), np.float32)
     colours = np.empty((height, width, _surface_kernels.MOST, 4), np.float32)
-    found = source, share, colours
-    if not sum(for_bands(_surface_kernels.divide_pixels, height, place, layer.radiance, purity, LEAST_GAP, *found)):
+    given = place, layer.radiance, purity, known, LEAST_GAP
+    if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
         yield layer, None
         return
     for number in range(_surface_kernels.MOST):
         weight = np.ascontiguousarray(share[:, :, number])
         if weight.any():
             yield _surface(layer, np.ascontiguousarray(colours[:, :, number]), source[:, :, number]), weight
+
+
+def _places(layer: Layer, camera: ThinLens) -> Image:
+    """Return where surfaces lie in depth, as CoC radii, px."""
+    place = np.empty(layer.shape, np.float32)
+    optics = camera.coc_scale(layer.shape[1]), 1.0 / camera.focus_distance_m
+    for_bands(_label_kernels.coc_radii, len(place), layer.depth, *optics, place)
+    return place
+
+
+def depth_is_filtered(place: Image) -> bool:
+    """Guess whether depths are filtered as colours are: then most edges pass through depths between two surfaces'.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    """
+    total = np.zeros(2, np.int64)
+    for each in (place, np.ascontiguousarray(place.T)):
+        counts = np.zeros((len(each), 2), np.int64)
+        for_bands(_blend_kernels.count_edges, len(each), each, LEAST_GAP, counts)
+        total += counts.sum(axis=0)
+    return bool(total[1] > total[0])
+
+
+def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
+    """Return a layer whose labels are those of one surface each, not blends, and what the blends tell of the shares.
+
+    Parameters
+    ----------
+    layer : Layer
+        Its depth is filtered.
+    place : ndarray of shape (H, W), float32
+        Its depths as CoC radii, px.
+
+    Returns
+    -------
+    layer : Layer
+    share : ndarray of shape (H, W), float32
+        Of the nearer of a pixel's two surfaces, -1 where the pixel is no blend.
+    """
+    source, share = np.empty((*layer.shape, 2), np.int32), np.empty(layer.shape, np.float32)
+    alpha = np.ascontiguousarray(layer.radiance[..., 3])
+    for_bands(_blend_kernels.undo_filter, len(place), layer.depth, place, alpha, LEAST_GAP, source, share)
+    return _surface(layer, layer.radiance, source), share
 
 
 def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:

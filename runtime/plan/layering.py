@@ -79,9 +79,9 @@ class Layering:
         low, high = _range(passes)
         if most == 1 or not high > low:
             return cls()
-        borders = np.linspace(low, high, N_STEPS + 1)
         cuts = best_cuts(find_steps(passes, low, high, N_STEPS), most)
-        return cls._of_borders(borders[np.concatenate([[0], cuts, [N_STEPS]])], softness)
+        borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])
+        return cls._of_borders(borders, softness)
 
     @classmethod
     def _of_borders(cls, borders: DoubleArray, softness: float) -> Layering:

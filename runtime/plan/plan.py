@@ -16,7 +16,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels
-from spreadlets.runtime.options import Options
+from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -167,8 +167,9 @@ def plan_pixels(
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
-    divide = Layering.equal if stochastic else Layering.fitted
-    layering = divide(list(zip(labels, indices, strict=True)), n_layers, options.softness)
+    divide, softness = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
+    softness = softness if options.softness is None else options.softness
+    layering = divide(list(zip(labels, indices, strict=True)), n_layers, softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
     parts = _all_parts(passes, members, border, layering.n_layers, table.n_variants)
     splats = list(_splat_passes(parts, table, layering.n_layers, stochastic))
