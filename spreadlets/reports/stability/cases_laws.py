@@ -60,7 +60,7 @@ def framed(seed: int) -> Array:
 def linear(lab: Lab) -> float:
     """Rendering is linear in radiance."""
     slant = depth_of(np.broadcast_to(np.linspace(-10, 10, SIDE), (SIDE, SIDE)), SIDE)
-    motion = np.broadcast_to(np.float32((20, -8)), (SIDE, SIDE, 2))
+    motion = np.broadcast_to(np.array((20.0, -8.0)), (SIDE, SIDE, 2))
     return sum_error(lab, slant, motion)
 
 
