@@ -204,7 +204,7 @@ def bleed(database: sp.Database, layers: int) -> float:
     radiance = np.where(inside[..., None], 0.1 + 0.1 * shade, 1.0 + shade)
     near = np.hypot(x + 70, y + 70) < 20
     radiance[near] = (0.3, 0.1, 0.1)
-    coc = np.where(near, -14.0, np.where(inside, 0.6 * x / 50.0, 13.0))
+    coc = np.where(near, -14.0, np.where(inside, 0.4 * x / 50.0, 13.0))
     depth = 1.0 / (1.0 / FOCUS - coc / CAMERA.coc_scale(size))
     image = sp.synthesize(sp.Frame(radiance, depth), CAMERA, database, layers=layers)
     wrong = (np.abs(image[..., :3] - radiance).max(axis=2) > 0.02) & inside & (np.hypot(x + 70, y + 70) > 36)
