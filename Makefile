@@ -6,8 +6,10 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test docs clean databases
 
+# What is imported is kept as bytecode, even where the environment forbids it: installing with --no-compile leaves none, and each
+# run would take a second longer.
 demo: $(VENV)/.installed
-	$(BIN)/spreadlets demo -o demo_output
+	PYTHONDONTWRITEBYTECODE= $(BIN)/spreadlets demo -o demo_output
 
 test: $(VENV)/.installed-dev
 	$(BIN)/ruff check

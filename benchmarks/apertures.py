@@ -14,7 +14,7 @@ from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests" / "precompute"))
+sys.path.insert(0, str(ROOT / "tests" / "precompute" / "models"))
 from test_aperture import SHAPES, drawn, make, relative_l1  # noqa: E402  (the naive drawing lives with the tests)
 
 RESULT = ROOT / "benchmarks" / "results" / "apertures.txt"

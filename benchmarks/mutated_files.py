@@ -20,6 +20,7 @@ import functools
 import json
 import os
 import select
+import struct
 import subprocess
 import sys
 import tempfile
@@ -32,19 +33,23 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from PIL import Image
 
 RESULTS = Path(__file__).parent / "results"
 
 SHARES = {
-    "database": 0.275,
+    "database": 0.25,
     "database values": 0.125,
-    "frame": 0.175,
-    "samples": 0.10,
-    "deep": 0.15,
+    "frame": 0.15,
+    "samples": 0.075,
+    "deep": 0.125,
     "tlfr binary": 0.05,
     "tlfr text": 0.05,
     "lens": 0.0375,
     "camera": 0.0375,
+    "png": 0.05,
+    "jpeg": 0.025,
+    "tiff": 0.025,
 }
 """Part of all files that is of each kind."""
 
@@ -213,6 +218,10 @@ def write_samples_of_every_kind(folder: Path) -> None:
     front = rng.uniform(1.0, 9.0, n).astype(np.float32)
     deep.write_deep(folder / "deep", deep.DeepImage(counts, colour, front, front, np.ones((n, 2), np.float32)))
     (folder / "lens").write_bytes(shipped_lenses()["double_gauss"].read_bytes())
+    picture = Image.fromarray(rng.integers(0, 256, (20, 30, 4), np.uint8))
+    picture.save(folder / "png", "PNG")
+    for name in ("jpeg", "tiff"):
+        picture.convert("RGB").save(folder / name, name.upper())
     text = {"focal_length_mm": 50.0, "sensor_width_mm": 36.0, "f_number": 2.0, "focus_distance_m": 4.0}
     (folder / "camera").write_text(json.dumps(text | {"shutter_open_close_frames": [-0.25, 0.25]}))
 
@@ -433,6 +442,79 @@ def read_camera_file(path: Path, original: Path) -> None:
     agree("shutter", camera.shutter, np.array(content["shutter_open_close_frames"], float))
 
 
+def read_png_file(path: Path, original: Path) -> None:
+    """Read the image of a stylized PSF; its light must be that of the pixels which plain zlib finds in the file."""
+    from spreadlets.precompute.models.stylized import decode, read_settings
+
+    found = decode(read_settings(image=str(path))["image"])
+    try:
+        agree("light", found, stored_light(png_pixels(path)))
+    except (ValueError, KeyError, IndexError, struct.error, zlib.error, Wrong):
+        agree("light", found, stored_light(png_pixels(original)))
+
+
+def stored_light(pixels: np.ndarray) -> np.ndarray:
+    """Return the light of 8-bit sRGB pixels (h, w, 4) as the product stores it."""
+    from spreadlets.precompute.models.stylized import decode, encode
+
+    values = pixels / 255.0
+    colours = values[..., :3]
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    light = linear * values[..., 3:]
+    return decode(encode(light / light.max()))
+
+
+def png_pixels(path: Path) -> np.ndarray:
+    """Read an 8-bit PNG with alpha, not interlaced, without a library: (h, w, 4)."""
+    content, at, chunks = path.read_bytes(), 8, {b"IDAT": b""}
+    while at < len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
+        chunks[kind] = chunks.get(kind, b"") + data
+        at += length + 12
+    width, height, *form = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+    if form != [8, 6, 0, 0, 0]:
+        raise ValueError("another form of PNG")
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, 1 + 4 * width)
+    above = np.zeros((width, 4), int)
+    pixels = []
+    for row in rows:
+        above = unfiltered(int(row[0]), row[1:].reshape(width, 4).astype(int), above)
+        pixels.append(above)
+    return np.array(pixels)
+
+
+def unfiltered(kind: int, row: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """Undo one of PNG's five filters on a row of pixels."""
+    result = np.zeros_like(row)
+    left = corner = np.zeros(4, int)
+    for x, up in enumerate(above):
+        nearest = left + up - corner
+        distance = np.abs(np.stack([nearest - left, nearest - up, nearest - corner]))
+        paeth = np.choose(distance.argmin(axis=0), [left, up, corner])
+        left = (row[x] + [0, left, up, (left + up) // 2, paeth][kind]) % 256
+        result[x], corner = left, up
+    return result
+
+
+def read_other_picture(path: Path, original: Path) -> None:
+    """Read what no reader takes: every one must refuse it."""
+    from spreadlets.errors import SpreadletsError
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.inspect import frame_info
+    from spreadlets.precompute.models.stylized import read_settings
+
+    readers = (exr.read_frame, exr.read_image, frame_info, lambda each: read_settings(image=str(each)))
+    for reader in readers:
+        try:
+            reader(path)
+        except SpreadletsError as error:
+            refusal = error
+        else:
+            raise Wrong("a picture of another kind was read")
+    raise refusal
+
+
 READERS: dict[str, Callable[[Path, Path], Further | None]] = {
     "database": read_database,
     "database values": read_database_as_stored,
@@ -443,6 +525,9 @@ READERS: dict[str, Callable[[Path, Path], Further | None]] = {
     "tlfr text": read_tlfr_file,
     "lens": read_lens_file,
     "camera": read_camera_file,
+    "png": read_png_file,
+    "jpeg": read_other_picture,
+    "tiff": read_other_picture,
 }
 
 
@@ -500,7 +585,7 @@ def child(kind: str, folder: Path, first: int, count: int, seed: int) -> None:
     good = original.read_bytes()
     text = kind in ("tlfr text", "lens", "camera")
     path = folder / f"mutated-{os.getpid()}"
-    if further := READERS[kind](original, original):
+    if READERS[kind] is not read_other_picture and (further := READERS[kind](original, original)):
         further()  # compiles
     lower_limits()
     for number in range(first, first + count):

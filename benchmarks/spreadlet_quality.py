@@ -31,16 +31,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 from skimage.metrics import structural_similarity
 
-from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, SSIM_OPTIONS, psf_l1, psf_similarity
-from spreadlets.precompute.build.build import CellTask, build_cell
+import spreadlets as sp
+from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, psf_l1, psf_similarity
+from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
 from spreadlets.precompute.models.registry import trace_psf
+from spreadlets.precompute.sparsify import fitted
 from spreadlets.precompute.sparsify.annealing import anneal
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
 from spreadlets.precompute.sparsify.fit import fit_values
-from spreadlets.precompute.sparsify.fitted_annealing import anneal_fitted
 from spreadlets.precompute.sparsify.green import reconstruct
 from spreadlets.precompute.sparsify.lloyd import collapse, relax
-from spreadlets.precompute.sparsify.sparsify import sparsify
+from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, SPARSIFIERS, sparsify
 from spreadlets.psf.laplacian import laplacian
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.psf.spreadlet import Spreadlet
@@ -55,6 +56,7 @@ SEED = 7
 PROCESSES = 2
 MAX_COC, MAX_MOTION, N_CELLS = 100.0, 256.0, 400
 DENSITIES = (0.5, 1.0, 2.0)
+SSIM_OPTIONS = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0}
 LKS_WINDOW = 512
 """Side of the window in which LKS measures similarity, px."""
 
@@ -226,9 +228,7 @@ def measure_psf(psf: np.ndarray, density: float) -> Measured:
 
 def forced_sparse(psf: np.ndarray, density: float) -> Spreadlet:
     """Sparsify a PSF's Laplacian even if its own pixels are cheaper."""
-    module = sys.modules["spreadlets.precompute.sparsify.sparsify"]
-    constants = {"THIN_RADIUS": 0.0, "DIRECT_THRESHOLDS": ()}
-    with patch.multiple(module, **constants):
+    with patch.multiple(fitted, THIN_RADIUS=0.0, direct_choices=lambda psf: iter(())):
         return sparsify(psf, density=density, seed=SEED)[0]
 
 
@@ -466,9 +466,8 @@ STAGES = {  # name: LKS's figure, what is asked
     "dart throwing, values fitted": ("-", "< 25 %"),
     "dart throwing + Lloyd, values fitted": ("-", "< 25 %"),
     "dart throwing + Lloyd + annealing, values fitted": ("-", "< 25 %"),
-    "dart throwing + Lloyd + annealing under the fit": ("-", "< 25 %"),
-    "elimination chain (sparsify)": ("-", "-"),
-    "the last, annealed under plain least squares": ("-", "-"),
+    "fit: dart throwing + Lloyd where candidates are many, elimination": ("-", "< 25 %"),
+    "fit, whole: + annealing under the fit": ("-", "< 25 %"),
 }
 DART_TRIES = 4
 
@@ -489,13 +488,12 @@ def stage_errors(cell: int) -> tuple[list[tuple[float, float]], list[int]] | Non
     both = anneal(window, dense, relaxed, rng)
     half = np.asarray(window.shape[:2]) // 2
     sums = [(points, collapse(dense, points)) for points in (darts, relaxed, annealed, both)]
-    fitted = anneal_fitted(window, relaxed, rng)[0]
-    refined = anneal_fitted(window, final.offset_rc.astype(np.int64) + half, rng)[0]
-    fits = [(points, fit_values(window, points - half)) for points in (darts, relaxed, both, fitted, refined)]
+    fits = [(points, fit_values(window, points - half)) for points in (darts, relaxed, both)]
+    with patch.object(fitted, "anneal_fitted", lambda equations, near, index, rng: index):
+        eliminated = sparsify(psf, seed=SEED)[0]
     drawn = [reconstruct(points - half, value, window.shape[:2]) for points, value in sums + fits]
-    drawn.insert(-1, draw(final, half))
-    counts = [len(points) for points, _ in sums + fits]
-    counts.insert(-1, final.n_points)
+    drawn += [draw(each, half) for each in (eliminated, final)]
+    counts = [len(points) for points, _ in sums + fits] + [eliminated.n_points, final.n_points]
     return [(psf_l1(window, image), psf_similarity(window, image)) for image in drawn], counts
 
 
@@ -616,7 +614,8 @@ def built_cell(cell: int) -> tuple[float, list[tuple[float, float, bool]]]:
     began = time.process_time()
     grid = grid_of()
     every = tuple(range(int(grid.direction_counts[cell])))
-    records = build_cell(CellTask(grid, cell, directions=every, density=1.0, rays=None, seed=SEED))
+    units = plan_units([CellTask(grid, cell, every, 1.0, None, SEED, cell, DEFAULT_SPARSIFIER)], 1)
+    records = [record for unit in units for record in build_unit(unit).records.values()]
     seconds = time.process_time() - began
     return seconds, [
         (energy_error(r.spreadlet), float(r.statistics["max_value_ratio"]), r.spreadlet.direct) for r in records
@@ -655,6 +654,71 @@ def build(effort: Effort, folder: Path) -> list[Row]:
     ]
 
 
+# --- The two sparsifiers ----------------------------------------------------------------------------------------------
+
+
+LINES_COC = (3.0, 20.0)
+"""Range of CoC radii, px, of the slanted lines of LKS Fig. 11."""
+
+
+def compared_cell(cell: int, sparsifier: str) -> tuple[float, float]:
+    """Return similarity and sparsity of a cell's first direction."""
+    figures = sparsify(cell_psf(grid_of(), cell), seed=SEED, sparsifier=sparsifier)[1]
+    return figures["ssim"], figures["sparsity"]
+
+
+def slanted_lines(size: int = 192) -> sp.Frame:
+    """Return bright lines on a plane that recedes from left to right."""
+    radiance = np.full((size, size, 3), 0.02, np.float32)
+    radiance[::24] = 1.0
+    coc = np.linspace(*LINES_COC, size)
+    depth = 1.0 / (1.0 / LINES_CAMERA.focus_distance_m - coc / LINES_CAMERA.coc_scale(size))
+    return sp.Frame(radiance, np.broadcast_to(depth, (size, size)).astype(np.float32))
+
+
+LINES_CAMERA = sp.ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=0.02, focus_distance_m=4.0)
+
+
+def frame_figures(sparsifier: str) -> tuple[float, float, float]:
+    """Return SSIM and points per pixel of the shipped frame, and the largest step between columns of Fig. 11."""
+    shipped = Path(sp.__file__).parent / "data"
+    frame, camera = sp.read_frame(shipped / "coins_pinhole.exr"), sp.read_camera(shipped / "coins.json")
+    with tempfile.TemporaryDirectory() as folder:
+        options: dict[str, Any] = {"samples": 100, "sparsifier": sparsifier, "jobs": PROCESSES, "seed": SEED}
+        sp.build_database("combined", Path(folder) / "frame.h5", frames=[frame], camera=camera, **options)
+        image, report = sp.synthesize(frame, camera, Path(folder) / "frame.h5", report=True)
+        sp.build_database("simplelens", Path(folder) / "lines.h5", max_coc=24.0, **options)
+        lines = sp.synthesize(slanted_lines(), LINES_CAMERA, Path(folder) / "lines.h5", layers=1)
+    reference_image = sp.read_image(shipped / "coins_ref_dofmb.exr")
+    steps = np.abs(np.diff(lines[48:144, 24:168, 0], axis=1)).max()
+    return sp.metrics.ssim(image, reference_image), report.plan.points_splatted / frame.depth.size, float(steps)
+
+
+def sparsifiers(effort: Effort, folder: Path) -> list[Row]:
+    """Compare the default with LKS's own chain: LKS Fig. 10 a to c on some cells, a frame, and Fig. 11."""
+    cells = sample(effort.ablated, N_CELLS, "sparsifiers")
+    rows = []
+    for name in SPARSIFIERS:
+        figures = np.array(parallel(compared_cell, [(int(cell), name) for cell in cells]))
+        ssim, points, step = frame_figures(name)
+        rows += [
+            Row(
+                f"{name}: similarity / sparsity, means of {len(cells)} cells",
+                ".97 / 9.3 %",
+                "-",
+                pair(*figures.mean(0)),
+            ),
+            Row(
+                f"{name}: the shipped frame, 100 cells: SSIM / points for each pixel",
+                "-",
+                "-",
+                f"{ssim:.4f} / {points:.0f}",
+            ),
+            Row(f"{name}: slanted lines (Fig. 11), largest step between columns", "-", "-", f"{step:.4f}"),
+        ]
+    return rows
+
+
 # --- The table -------------------------------------------------------------------------------------------------------
 
 
@@ -664,6 +728,7 @@ PARTS: dict[str, Callable[[Effort, Path], list[Row]]] = {
     "build": build,
     "coordinates": coordinates,
     "ablation": ablation,
+    "sparsifiers": sparsifiers,
     "shapes": shapes,
     "tracing": tracing,
 }

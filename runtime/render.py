@@ -12,6 +12,7 @@ import numpy as np
 
 from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.psf.database import Database
+from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, View
@@ -45,6 +46,7 @@ def synthesize(
     options: Options | None = None,
     clock: Clock | None = None,
     dense_psf: DensePsf | None = None,
+    exact_psf: ExactPsf | None = None,
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -61,6 +63,8 @@ def synthesize(
         Where the steps' times are added.
     dense_psf : callable, optional
         Where methods that draw PSFs in full take them from.
+    exact_psf : ExactPsf, optional
+        What makes the PSFs of highlights, at their own coordinates; without it they are drawn as all other pixels.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def synthesize(
     n_layers = options.layers or (1 if is_whole else MOST_LAYERS)
     for number, group in enumerate(given):
         with clock.step("plan"):
-            plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf)
+            plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf, exact_psf=exact_psf)
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
             view = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
@@ -107,6 +111,7 @@ def reconstruct(
     options: Options | None = None,
     clock: Clock | None = None,
     dense_psf: DensePsf | None = None,
+    exact_psf: ExactPsf | None = None,
 ) -> tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples, blurred by the camera's lens and shutter.
 
@@ -114,7 +119,7 @@ def reconstruct(
     ----------
     samples : SampleBuffer
         Labelled samples.
-    camera, database, options, clock, dense_psf
+    camera, database, options, clock, dense_psf, exact_psf
         As for `synthesize`.
 
     Returns
@@ -134,7 +139,9 @@ def reconstruct(
         passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp or SAMPLE_CLAMP)
         n_layers = options.layers or DEFAULT_LAYERS
-        plan = plan_pixels(passes, database, options, n_layers, stochastic=True, dense_psf=dense_psf)
+        plan = plan_pixels(
+            passes, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
+        )
         view = PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)

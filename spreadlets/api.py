@@ -21,6 +21,7 @@ from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
+    from spreadlets.psf.exact import ExactPsf
     from spreadlets.runtime.clock import Clock
     from spreadlets.runtime.options import Options, RenderOptions
     from spreadlets.runtime.report import Report
@@ -137,7 +138,7 @@ def synthesize(
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
     moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
-        image, figures = render.synthesize(layered, camera, opened, chosen, clock, _dense_psfs(opened, chosen))
+        image, figures = render.synthesize(layered, camera, opened, chosen, clock, *_psfs(opened, chosen))
     return (image, figures) if report else image
 
 
@@ -247,7 +248,7 @@ def reconstruct(
         return (image, figures) if report else image
     chosen = Options.of(**options)
     with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
-        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, _dense_psfs(opened, chosen))
+        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, *_psfs(opened, chosen))
     return (image, figures) if report else image
 
 
@@ -304,9 +305,13 @@ def tune_layered_methods() -> dict[str, Any]:
     return {"file": str(sizes.save()), "work_sizes": vars(sizes), "time_ms": times}
 
 
-def _dense_psfs(opened: Database, options: Options) -> DensePsfs | None:
-    """Return where methods that draw PSFs in full take them from, for those methods."""
-    return DensePsfs(opened, by_rows=options.method == "dense-rows") if options.draws_in_full else None
+def _psfs(opened: Database, options: Options) -> tuple[DensePsfs | None, ExactPsf | None]:
+    """Return where methods that draw PSFs in full take them from, and what makes the PSFs of highlights."""
+    from spreadlets.precompute.models.registry import exact_psf
+
+    dense_psfs = DensePsfs(opened, by_rows=options.method == "dense-rows") if options.draws_in_full else None
+    with refusing(opened.path):  # the model's settings are the file's
+        return dense_psfs, exact_psf(opened.grid.model)
 
 
 @contextmanager

@@ -1,21 +1,45 @@
-"""How kernels are compiled."""
+"""How kernels are compiled, and where they are kept for later processes.
+
+Kernels are compiled when they are first called. They are kept beside the package where that can be written to, else in
+the user's folder for caches, else in a temporary folder; ``NUMBA_CACHE_DIR`` overrides all of it. Kernels that came
+with the package, made once where it was installed, are used from wherever they lie. All are made anew as soon as a file
+with kernels changes: one kernel holds the code of others.
+"""
 
 from __future__ import annotations
 
+import atexit
+import hashlib
+import logging
+import os
+import pickle
+import shutil
+import tempfile
+import warnings
 from collections.abc import Callable
-from typing import Any, overload
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, overload
 
 import numba
+import numba.core.event
+import platformdirs
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 Kernel = Callable[..., Any]
+
+PACKAGE = Path(__file__).resolve().parent
+USUAL: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+"""What Numba is told of every kernel and helper; nothing calls them from C."""
+logger = logging.getLogger("spreadlets")
+_kernels: set[Kernel] = set()
 
 
 @overload
 def kernel(function: Kernel) -> Kernel: ...
 @overload
-def kernel(
-    *, fastmath: bool | set[str] = ..., error_model: str = ..., inline: str = ...
-) -> Callable[[Kernel], Kernel]: ...
+def kernel(*, fastmath: bool | set[str] = ...) -> Callable[[Kernel], Kernel]: ...
 def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[[Kernel], Kernel]:
     """Compile a function when it is first called, keep it for later processes, and run it without the global lock.
 
@@ -24,8 +48,153 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     function : callable
         Written in what Numba compiles.
     **options
-        Numba's: ``fastmath``, liberties with floating-point numbers, by default none, so that results are exact;
-        ``error_model``, whether dividing by zero is an error ("python") or gives infinity ("numpy"); ``inline``.
+        Numba's: ``fastmath``, liberties with floating-point numbers, by default none, so that results are exact.
+
+    Notes
+    -----
+    Dividing by zero gives infinity, as in NumPy: the checks that Python makes take time in each loop.
     """
-    compile_it: Callable[[Kernel], Kernel] = numba.njit(cache=True, nogil=True, **options)
+    if function is None:
+        return lambda given: kernel(given, **options)
+    compiled = numba.njit(**USUAL, nogil=True, cache="NUMBA_CACHE_DIR" in os.environ, **options)(function)
+    if not numba.config.DISABLE_JIT and "NUMBA_CACHE_DIR" not in os.environ:  # type: ignore[attr-defined]
+        compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+    _kernels.add(compiled)
+    return compiled  # type: ignore[no-any-return]
+
+
+@overload
+def helper(function: Kernel) -> Kernel: ...
+@overload
+def helper(
+    *, fastmath: bool | set[str] = ..., inline: Literal["never", "always"] = ...
+) -> Callable[[Kernel], Kernel]: ...
+def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[[Kernel], Kernel]:
+    """Compile a function that only kernels call: it is kept within them, and has no entrance from Python.
+
+    Parameters
+    ----------
+    function : callable
+    **options
+        As for `kernel`; and ``inline``: "always" for what is called in one place, which is then compiled once.
+    """
+    compile_it: Callable[[Kernel], Kernel] = numba.njit(  # type: ignore[call-overload]
+        **USUAL, no_cpython_wrapper=True, **options
+    )
     return compile_it if function is None else compile_it(function)
+
+
+@cache
+def kernel_folder() -> Path:
+    """Return the folder that compiled kernels are kept in, made if need be.
+
+    Where kernels came with the package and its folder cannot be written to, they are copied to where new ones can be
+    kept. Without any such place, a temporary folder is used, with a warning.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+    shipped, own = PACKAGE / "__pycache__" / "kernels", platformdirs.user_cache_path("spreadlets") / "kernels"
+    if _can_be_written(shipped):
+        return shipped
+    if _can_be_written(own):
+        folder = own
+    else:
+        folder = Path(tempfile.mkdtemp(prefix="spreadlets-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        warnings.warn(
+            f"kernels are compiled again in each run: neither {str(shipped)!r} nor {str(own)!r} can be written to; "
+            "set NUMBA_CACHE_DIR to a folder that can",
+            stacklevel=2,
+        )
+    if shipped.is_dir() and not any(folder.iterdir()):
+        shutil.copytree(shipped, folder, dirs_exist_ok=True)
+    return folder
+
+
+def _can_be_written(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+@cache
+def _state_of_kernels() -> str:
+    """Return a digest of all files with kernels, and of how they are compiled: what is kept is valid for this."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    for folder, _, names in sorted(os.walk(PACKAGE, followlinks=True)):
+        for name in sorted(names):
+            if name.endswith("_kernels.py"):
+                digest.update(Path(folder, name).read_bytes())
+    return digest.hexdigest()
+
+
+class _Place(_CacheLocator):
+    """Where Numba keeps a kernel: in one folder, whatever folder its source is in."""
+
+    def __init__(self, function: Kernel, source: str) -> None:
+        self._function, self._source = function, source
+
+    def get_cache_path(self) -> str:
+        return str(kernel_folder())
+
+    def ensure_cache_path(self) -> None:
+        kernel_folder()
+
+    def get_source_stamp(self) -> str:
+        if Path(self._source).resolve().is_relative_to(PACKAGE.parent):
+            return _state_of_kernels()
+        return hashlib.sha256(Path(self._source).read_bytes()).hexdigest()
+
+    def get_disambiguator(self) -> str:
+        return f"{self._function.__module__}-{self._function.__code__.co_firstlineno}"
+
+    @classmethod
+    def from_function(cls, function: Kernel, source: str) -> _Place:
+        return cls(function, source)
+
+
+class _KernelCacheImpl(CompileResultCacheImpl):
+    _locator_classes = [_Place]
+
+
+class _KernelCache(FunctionCache):
+    """What cannot be read is compiled anew; what cannot be kept, on a full disk, is used all the same."""
+
+    _impl_class = _KernelCacheImpl
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        with suppress(OSError):
+            super().save_overload(signature, compiled)  # type: ignore[no-untyped-call]
+
+
+class _Announcement(numba.core.event.Listener):
+    """Counts the kernels that are compiled, and says so of the first."""
+
+    count = 0
+
+    def on_start(self, event: numba.core.event.Event) -> None:
+        if event.data["dispatcher"] in _kernels:
+            if not self.count:
+                logger.info("compiling once: kernels are kept for later runs in %s", kernel_folder())
+            self.count += 1
+
+    def on_end(self, event: numba.core.event.Event) -> None:
+        pass
+
+
+_announcement = _Announcement()
+numba.core.event.register("numba:compile", _announcement)  # type: ignore[no-untyped-call]
+
+
+def count_compiled() -> int:
+    """Return how many kernels this process has compiled, instead of loading them."""
+    return _announcement.count

@@ -1,7 +1,11 @@
 import pytest
 
+from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.build.build import build_database
 from spreadlets.psf.database import open_database
+
+# Databases that tests build are compared with the exact PSF at a few places: a thousand take many seconds.
+between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2
 
 
 @pytest.fixture(scope="session")

@@ -112,7 +112,7 @@ def anneal(psf, laplacian, points, rng):
         moved[chosen] += rng.integers(-1, 2, size=(len(chosen), 2))
         moved = np.unique(np.clip(moved, 0, [height - 1, width - 1]), axis=0)
         after = cost(moved)
-        if after <= now * (1 + 1e-12) or rng.random() < np.exp(-(after - now) / (2e-3 * (1 - step / 400) * now)):
+        if rng.random() < np.exp(-max(after - now, 0) / (2e-3 * (1 - step / 400) * now)):
             points, now = moved, after
         if now < least:
             best, least = points, now

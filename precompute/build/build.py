@@ -11,12 +11,14 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from spreadlets.errors import BuildStoppedError, InvalidParameterError
 from spreadlets.models import option_names
+from spreadlets.precompute.build.between_cells import FindSpreadlet, between_cells
 from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
 from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
 from spreadlets.precompute.build.progress import BuildProgress, Progress
@@ -26,6 +28,7 @@ from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, check_sparsifier
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.version import __version__
 
 MAX_SAMPLES = 100_000
@@ -124,6 +127,7 @@ def build_database(
         ]
         shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
         provenance = {"seed": seed, "parameters": _parameters(grid, density, sparsifier, rays)} | _versions()
+        provenance["between_cells"] = between_cells(grid, _finder(tasks, parts, kept), rays)
         provenance["build_s"] = time.perf_counter() - begin + kept.build_s
         cells = (_cell(task, parts, kept) for task in tasks)
         try:
@@ -132,6 +136,17 @@ def build_database(
             raise BuildStoppedError(f"{error}; {AGAIN}") from error
         shown.ended(target)
         parts.remove()
+
+
+def _finder(tasks: list[CellTask], parts: Parts, kept: Kept) -> FindSpreadlet:
+    """Return what finds the spreadlet of a cell and pose among what was built."""
+    cells = cache(lambda cell: _cell(tasks[cell], parts, kept))
+
+    def find(cell: int, pose: int) -> Spreadlet | None:
+        spreadlet: Spreadlet = cells(cell)[pose].spreadlet
+        return spreadlet if spreadlet.n_points else None
+
+    return find
 
 
 def _check_arguments(samples: int | None, density: float | None, rays: int | None, jobs: int | None, seed: int) -> None:

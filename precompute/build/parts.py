@@ -6,8 +6,6 @@ is what the build would compute again.
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import hashlib
 import io
 import json
@@ -18,9 +16,9 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
 
 import numpy as np
+from filelock import BaseFileLock, FileLock, Timeout
 
 from spreadlets.errors import BuildStoppedError, InvalidParameterError
 from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask
@@ -30,6 +28,7 @@ from spreadlets.psf.spreadlet import Spreadlet
 
 PART_SUFFIX = ".part"
 LOCK_NAME = "lock"
+HOLDER_NAME = "holder"
 LOG_NAME = "build.log"
 DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -104,7 +103,9 @@ class Parts:
         for path in self.folder.iterdir():
             if path.suffix in (PART_SUFFIX, ".tmp") or path.name == LOG_NAME:
                 path.unlink(missing_ok=True)
-        (self.folder / LOCK_NAME).unlink(missing_ok=True)
+        for name in (HOLDER_NAME, LOCK_NAME):
+            with suppress(OSError):  # Windows keeps a file that is locked; it goes with the lock
+                (self.folder / name).unlink(missing_ok=True)
         with suppress(OSError):
             self.folder.rmdir()
         self.removed = True
@@ -114,7 +115,8 @@ class Parts:
 def open_parts(target: Path, grid: PsfGrid) -> Iterator[Parts]:
     """Give the parts of the build of a file, for this process alone; what a killed build left half-written is removed.
 
-    The lock is the system's, on a file in the folder: it ends with the process that holds it, however that ends.
+    The lock is the system's, on a file in the folder: it ends with the process that holds it, however that ends. Who
+    holds it stands in a file beside it.
 
     Raises
     ------
@@ -135,53 +137,47 @@ def open_parts(target: Path, grid: PsfGrid) -> Iterator[Parts]:
             if not parts.removed and not any(path.suffix == PART_SUFFIX for path in folder.iterdir()):
                 parts.remove()
     finally:
-        lock.close()
+        lock.release()
+        with suppress(OSError):
+            folder.rmdir()
 
 
-def _locked(folder: Path, target: Path) -> IO[str]:
-    """Make the folder, and return its lock file, locked."""
-    path = folder / LOCK_NAME
+def _locked(folder: Path, target: Path) -> BaseFileLock:
+    """Make the folder, and return its lock, taken."""
+    lock = FileLock(folder / LOCK_NAME)
     for _ in range(LOCK_ATTEMPTS):
         try:
             folder.mkdir(exist_ok=True)
-            file = open(path, "a+")
+            lock.acquire(timeout=0)
+            if (folder / LOCK_NAME).exists():
+                _sign(folder)
+                return lock
+            lock.release()
+        except Timeout:
+            raise BuildStoppedError(
+                f"another build is writing {str(target)!r} ({_holder(folder)}); wait for it, or choose another output"
+            ) from None
         except FileNotFoundError:
             if not target.parent.is_dir():
                 raise InvalidParameterError(f"cannot write {str(target)!r}: there is no such folder") from None
-            continue
         except OSError as error:
             raise InvalidParameterError(
                 f"cannot write beside the database: {error.strerror}: {str(folder)!r}; name another place with -o"
             ) from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.exists(path) and os.fstat(file.fileno()).st_ino == os.stat(path).st_ino:
-                _sign(file)
-                return file
-            file.close()
-        except OSError as error:
-            holder = _holder(file)
-            file.close()
-            if error.errno not in (errno.EAGAIN, errno.EACCES):
-                raise InvalidParameterError(f"cannot lock {str(path)!r}: {error.strerror}") from error
-            raise BuildStoppedError(
-                f"another build is writing {str(target)!r} ({holder}); wait for it, or choose another output"
-            ) from None
     raise BuildStoppedError(f"other builds keep writing {str(target)!r}; wait for them, or choose another output")
 
 
-def _sign(file: IO[str]) -> None:
-    """Say in the lock file who holds it."""
-    file.truncate(0)
+def _sign(folder: Path) -> None:
+    """Say beside the lock who holds it."""
     since = time.strftime("%Y-%m-%d %H:%M:%S")
     with suppress(OSError):  # a full disk must not keep a build from saying so itself
-        file.write(f"process {os.getpid()} on {socket.gethostname()}, since {since}")
-        file.flush()
+        (folder / HOLDER_NAME).write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since}")
 
 
-def _holder(file: IO[str]) -> str:
-    file.seek(0)
-    return file.read(200) or "it has just begun"
+def _holder(folder: Path) -> str:
+    with suppress(OSError):
+        return (folder / HOLDER_NAME).read_text()[:200] or "it has just begun"
+    return "it has just begun"
 
 
 def _packed(records: list[CellRecord]) -> bytes:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 PASSED, BLOCKED, MISSED, REFLECTED = 0, 1, 2, 3
 """What a surface did to a ray: it passed, lay beyond the rim, missed the surface, was totally reflected."""
@@ -13,7 +13,7 @@ FAILED_CLEARANCE = -1.0
 """Clearance of rays that do not get to the sensor."""
 
 
-@kernel(error_model="numpy")
+@helper
 def _refract(ray, curvature, conic, ratio):
     """Move a ray, relative to a surface's vertex, to that surface, and refract it there; return what happened.
 
@@ -48,7 +48,7 @@ def _refract(ray, curvature, conic, ratio):
     return PASSED
 
 
-@kernel(error_model="numpy")
+@helper
 def trace_one(ray, table, index, sensor_distance):
     """Trace a ray through a lens onto the sensor.
 
@@ -90,7 +90,7 @@ def trace_one(ray, table, index, sensor_distance):
     return clearance, narrowest, PASSED if clearance >= 0.0 else BLOCKED
 
 
-@kernel(error_model="numpy")
+@kernel
 def trace_lines(begin, end, place, slope, index, table, distances, out, events):
     """Trace rays along straight lines across the entrance pupil.
 

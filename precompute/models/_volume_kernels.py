@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 MAX_COLLISIONS = 512
 """A path that has collided so often has lost its way."""
@@ -57,7 +57,7 @@ def scattering_cosine(g: float, u: float) -> float:
     return min(max((1.0 + g * g - part * part) / (2.0 * g), -1.0), 1.0)
 
 
-@kernel
+@helper
 def _turn(x: float, y: float, z: float, cosine: float, angle: float) -> tuple[float, float, float]:
     """Turn a direction by a polar angle, given by its cosine, and an azimuth about itself."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -73,7 +73,7 @@ def _turn(x: float, y: float, z: float, cosine: float, angle: float) -> tuple[fl
     return new_x / norm, new_y / norm, new_z / norm
 
 
-@kernel
+@helper
 def _first_collision(density: float, distance: float, state: np.ndarray) -> float:
     """Return the distance of a first collision that lies before a given distance."""
     before = -math.expm1(-density * distance)
@@ -87,7 +87,7 @@ def _distance(u: float, low: float, high: float) -> float:
     return 0.5 * (low + high) + 0.5 * (high - low) * t
 
 
-@kernel
+@helper
 def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost):
     """Trace one path whose first collision lies before the plane; ``weight`` (C,) is its light, used up."""
     density, g = properties[0], properties[1]

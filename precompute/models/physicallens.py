@@ -179,7 +179,7 @@ def _as_json(surface: prescription.Surface) -> list[Any]:
 def _aberration(settings: Mapping[str, Any], corner_mm: float) -> float:
     """Return how far light lands from its place in the corner where the lens is in focus, px."""
     box = np.array([[0.0, 0.0], [corner_mm, corner_mm]])
-    return _pilot(focused_lens(settings), box, 1)[2]
+    return lit_pupil(focused_lens(settings), box, 1)[2]
 
 
 def _illumination(settings: Mapping[str, Any], corner_mm: float) -> list[float]:
@@ -309,28 +309,28 @@ def tracer(model: PsfModel, side: int) -> Tracer:
 
     @lru_cache(maxsize=1)
     def lit(box: tuple[tuple[float, float], ...]) -> tuple[DoubleArray, DoubleArray, float]:
-        return _pilot(focused, np.array(box), side)
+        return lit_pupil(focused, np.array(box), side)
 
     def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
         low, high, extent = lit(_hashable(box))
         across = low[1] + (high[1] - low[1]) * points[:, :1]
         along = np.linspace(low[0], high[0], N_NODES)[None, :]
-        place = _turned(np.broadcast_to(along, (len(points), N_NODES)), across, LINE_ANGLE)
+        place = turned(np.broadcast_to(along, (len(points), N_NODES)), across, LINE_ANGLE)
         wavelength = SHORTEST_NM + (LONGEST_NM - SHORTEST_NM) * points[:, 1]
-        inverse = _inverse_distance(focused, tent(points[:, 2], *box[0]), side)
+        inverse = inverse_distance(focused, tent(points[:, 2], *box[0]), side)
         bundle = trace_bundle(focused, place, wavelength, inverse, tent(points[:, 3], *box[1]))
         clearance = np.where(np.hypot(bundle.x, bundle.y) < extent, bundle.clearance, -1.0)
         density = np.broadcast_to(rgb_response(wavelength)[:, None, :], (*clearance.shape, 3))
         angle = tent(points[:, 4], -direction_half_width, direction_half_width)[:, None]
-        turned = _turned(bundle.x, bundle.y, direction + angle)
-        half = polylines(turned[..., 0], turned[..., 1], density, clearance)
+        place_on_image = turned(bundle.x, bundle.y, direction + angle)
+        half = polylines(place_on_image[..., 0], place_on_image[..., 1], density, clearance)
         return Segments(*map(np.concatenate, zip(half, _mirror_image(half, direction), strict=True)))
 
     return Tracer(
         N_DIMENSIONS,
         trace,
         lambda box: lit(_hashable(box))[2],
-        _without_negative_light,
+        without_negative_light,
         segments_per_point=2 * N_NODES,
         rays_per_pixel=RAYS_PER_PIXEL,
         blur=lambda box: 0.5 * BLUR * float(box[0, 1] - box[0, 0]),
@@ -345,7 +345,7 @@ def _mirror_image(segments: Segments, direction: float) -> Segments:
     return segments._replace(ends=ends.reshape(-1, 4))
 
 
-def _turned(x: DoubleArray, y: DoubleArray, angle: DoubleArray | float) -> DoubleArray:
+def turned(x: DoubleArray, y: DoubleArray, angle: DoubleArray | float) -> DoubleArray:
     """Turn places by an angle; return them as (..., 2)."""
     return np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=-1)
 
@@ -354,19 +354,19 @@ def _hashable(box: DoubleArray) -> tuple[tuple[float, float], ...]:
     return tuple((float(low), float(high)) for low, high in box)
 
 
-def _inverse_distance(focused: FocusedLens, coc: DoubleArray, side: int) -> DoubleArray:
+def inverse_distance(focused: FocusedLens, coc: DoubleArray, side: int) -> DoubleArray:
     """Return the inverse distance, 1 / m, at which a thin lens has a circle of confusion of radius ``coc``, px."""
     return np.asarray(focused.focus_per_m - side * coc / focused.coc_scale)
 
 
-def _without_negative_light(psf: DoubleArray) -> DoubleArray:
+def without_negative_light(psf: DoubleArray) -> DoubleArray:
     """Bring colours outside the gamut to its border, and keep each channel's energy."""
     energy = psf.sum(axis=(0, 1))
     inside = np.maximum(psf, 0.0)
     return np.asarray(inside * (np.maximum(energy, 0.0) / np.maximum(inside.sum(axis=(0, 1)), 1e-300)))
 
 
-def _pilot(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[DoubleArray, DoubleArray, float]:
+def lit_pupil(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[DoubleArray, DoubleArray, float]:
     """Find the lit part of the pupil and how far its light reaches, over the corners of a cell and the spectrum.
 
     Returns
@@ -387,9 +387,9 @@ def _pilot(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[DoubleArr
     coc, height, wavelength = (
         values.ravel() for values in np.meshgrid(box[0], box[1], (SHORTEST_NM, FOCUS_NM, LONGEST_NM), indexing="ij")
     )
-    flat = _turned(along, across, LINE_ANGLE).reshape(1, -1, 2)
+    flat = turned(along, across, LINE_ANGLE).reshape(1, -1, 2)
     place = np.repeat(flat, len(coc), axis=0)
-    bundle = trace_bundle(focused, place, wavelength, _inverse_distance(focused, coc, side), height)
+    bundle = trace_bundle(focused, place, wavelength, inverse_distance(focused, coc, side), height)
     lit = bundle.clearance >= 0.0
     if not lit.any():
         where = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"

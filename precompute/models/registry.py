@@ -5,7 +5,9 @@ What a model's parameters are, the runtime has to know, too: that is `spreadlets
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,9 +16,16 @@ import numpy.typing as npt
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
+from spreadlets.precompute.models.capsule import exact_capsules
+from spreadlets.precompute.models.exact_cache import CachedPsfs
+from spreadlets.precompute.models.lens_mesh import lens_psf
 from spreadlets.precompute.trace.light_tracing import crop, draw_segments, footprint
 from spreadlets.precompute.trace.line_sample import Painter, Tracer
+from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfModel
+
+EXACT_RAYS = 1 << 18
+"""Deposits for the PSF of a single coordinate: without a pre-filter there is less to sample."""
 
 
 class ModelEntry(NamedTuple):
@@ -28,19 +37,57 @@ class ModelEntry(NamedTuple):
         Turns the options of the model, see `spreadlets.models`, into its settings.
     tracer : callable
         What makes the PSFs of a model on a side of the focus (1 behind, -1 in front).
+    exact : callable
+        What makes the PSFs of single coordinates for a model; None if its cells are so fine that they are exact.
     """
 
     read_settings: Callable[..., dict[str, Any]]
     tracer: Callable[[PsfModel, int], Tracer | Painter]
+    exact: Callable[[PsfModel], ExactPsf | None]
+
+
+def _exact_thin_lens(model: PsfModel) -> ExactPsf:
+    """Return the PSFs of a thin lens: in closed form, or traced if its aperture or shutter has a shape of its own."""
+    return CachedPsfs(partial(_traced_exactly, model)) if model.settings else exact_capsules
+
+
+def _traced_exactly(model: PsfModel, coordinate: tuple[float, ...], direction: float, side: int) -> DoubleArray:
+    """Trace the PSF of a single coordinate."""
+    box = np.repeat(np.array(coordinate)[:, None], 2, axis=1)
+    return trace_psf(model, box, direction=direction, side=side, rays=EXACT_RAYS)
 
 
 REGISTRY = {
-    "simplelens": ModelEntry(simplelens.read_settings, simplelens.tracer),
-    "combined": ModelEntry(combined.read_settings, combined.tracer),
-    "physicallens": ModelEntry(physicallens.read_settings, physicallens.tracer),
-    "stylized": ModelEntry(stylized.read_settings, stylized.tracer),
-    "volume": ModelEntry(volume.read_settings, volume.tracer),
+    "simplelens": ModelEntry(simplelens.read_settings, simplelens.tracer, _exact_thin_lens),
+    "combined": ModelEntry(combined.read_settings, combined.tracer, _exact_thin_lens),
+    "physicallens": ModelEntry(
+        physicallens.read_settings, physicallens.tracer, lambda model: CachedPsfs(lens_psf(model))
+    ),
+    "stylized": ModelEntry(
+        stylized.read_settings, stylized.tracer, lambda model: CachedPsfs(stylized.image_psf(model))
+    ),
+    "volume": ModelEntry(volume.read_settings, volume.tracer, lambda model: None),
 }
+
+_EXACT: dict[tuple[str, str], ExactPsf | None] = {}
+
+
+def exact_psf(model: PsfModel) -> ExactPsf | None:
+    """Return what makes the PSFs of single coordinates, the same for all databases of a model with equal settings.
+
+    Parameters
+    ----------
+    model : PsfModel
+
+    Returns
+    -------
+    ExactPsf or None
+        None if the model's cells are so fine that their PSFs are exact, as those of ``volume`` are.
+    """
+    key = model.name, json.dumps([[axis.maximum for axis in model.axes], dict(model.settings)], sort_keys=True)
+    if key not in _EXACT:
+        _EXACT[key] = REGISTRY[model.name].exact(model)
+    return _EXACT[key]
 
 
 def trace_psf(

@@ -10,7 +10,7 @@ import base64
 import math
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -185,3 +185,52 @@ def reach(box: DoubleArray, light: DoubleArray, offset: DoubleArray) -> float:
     """Return the largest distance in x or y from the centre that light can have, px."""
     n_pixels = max(light.shape[:2])
     return float(box[0, 1] * ((n_pixels + 2.0) / n_pixels + np.abs(offset).max()))
+
+
+def image_psf(model: PsfModel) -> Callable[[tuple[float, ...], float, int], DoubleArray]:
+    """Return what makes the PSF of a CoC radius: ``(coordinate, direction, side) -> psf``, (h, w, 3), of unit sum.
+
+    Between the image's pixels the light is linear, so that its integral over a pixel of the PSF is known, along each
+    axis by itself.
+    """
+    light = decode(model.settings["image"])
+    offset = float(model.settings["colour_offset"]) * np.array([1.0, 0.0, -1.0])
+    radius = 0.5 * max(light.shape[:2])
+
+    def psf(coordinate: tuple[float, ...], direction: float, side: int) -> DoubleArray:
+        scale = coordinate[0] / radius
+        half = math.ceil(reach(np.array([[0.0, coordinate[0]]]), light, offset) + 0.5)
+        down = _areas(light.shape[0], half, scale, 0.0)
+        planes = [
+            down @ light[..., channel] @ _areas(light.shape[1], half, scale, radius * move).T
+            for channel, move in enumerate(offset)
+        ]
+        drawn = np.stack(planes, axis=-1)
+        return np.asarray(drawn * (drawn.shape[2] / drawn.sum()))
+
+    return psf
+
+
+def _areas(n_samples: int, half: int, scale: float, offset: float) -> DoubleArray:
+    """Return how much of each sample's light falls into each pixel of the PSF, along one axis.
+
+    Parameters
+    ----------
+    n_samples : int
+        Of the image; a sample's light is a tent that ends at its neighbours.
+    half : int
+        The PSF has ``2 half + 1`` pixels.
+    scale : float
+        Pixels of the PSF between neighbouring samples.
+    offset : float
+        By how many samples the image is moved.
+
+    Returns
+    -------
+    ndarray of shape (2 half + 1, n_samples), float64
+    """
+    edges = (np.arange(2 * half + 2) - half - 0.5) / max(scale, np.finfo(np.float64).tiny)
+    place = np.arange(n_samples) - 0.5 * (n_samples - 1) + offset
+    across = np.clip(edges[:, None] - place, -1.0, 1.0)
+    # The integral of a tent up to a place.
+    return np.diff(0.5 + across - 0.5 * across * np.abs(across), axis=0)

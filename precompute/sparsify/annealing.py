@@ -18,10 +18,6 @@ INITIAL_TEMPERATURE = 2e-3
 LKS gives no schedule. A step of this size is what moving one point of a disc by a pixel costs."""
 
 
-ROUNDING = 1e-12
-"""Relative rise of the error that is none: a point without pixels of its own changes only the order of the sum."""
-
-
 def anneal(
     psf: DoubleArray, laplacian: DoubleArray, point_rc: IntArray, rng: np.random.Generator, n_steps: int = N_STEPS
 ) -> IntArray:
@@ -64,7 +60,7 @@ def anneal(
         add_sources(trial, *_difference(points, values, proposed, new_values))
         new_cost = float(np.abs(trial).sum()) / total
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
-        if new_cost <= cost * (1.0 + ROUNDING) or rng.random() < np.exp((cost - new_cost) / (temperature * cost)):
+        if rng.random() < np.exp(min(0.0, cost - new_cost) / (temperature * cost)):
             points, values, error, cost = proposed, new_values, trial, new_cost
         if cost < best_cost:
             best, best_cost = points, cost

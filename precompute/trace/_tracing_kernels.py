@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from spreadlets.arrays import DoubleArray
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 
 @kernel
@@ -86,7 +86,7 @@ def cut_lines(
     return count
 
 
-@kernel
+@helper
 def deposit_segment(i: int, ends: DoubleArray, start: DoubleArray, stop: DoubleArray, image: DoubleArray) -> None:
     """Add segment i to ``image``: each pixel gets the energy of the part of the segment that lies in it.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 COVERAGE, COUNT, REST, LAST = range(4)
 """What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
@@ -12,13 +12,13 @@ SOLVER_ERROR = np.float32(0.005)
 """Measure, of a pixel's 1, up to which sums may be errors of the Poisson solver and the spreadlets' far fields."""
 
 
-@kernel
+@helper
 def _sure(measure):
     """Return how far sums of this measure are to be believed, from 0 to 1."""
     return min(max(measure / SOLVER_ERROR - np.float32(1.0), np.float32(0.0)), np.float32(1.0))
 
 
-@kernel
+@helper
 def _measure(weight, seen, kind):
     """Return by what the sums of a pixel are divided."""
     own = max(weight, np.float32(0.0))
@@ -45,7 +45,7 @@ def count_unseen(begin, end, padded, top, left, seen, kind, least, shape):
     return count
 
 
-@kernel
+@helper
 def _blend(out, red, green, blue, alpha, opaque):
     """Put a premultiplied colour behind a pixel."""
     left = np.float32(1.0) - out[3]
@@ -131,7 +131,7 @@ def pull(begin, end, fine, coarse):
                 coarse[row, col, c] = total
 
 
-@kernel
+@helper
 def _interpolate(coarse, row, col, c):
     """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one."""
     height, width = coarse.shape[:2]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
 """Columns of `layer_moments`."""
@@ -13,7 +13,7 @@ STRIPE = 64
 """Columns that `box_columns` takes at a time: whole cache lines of each row."""
 
 
-@kernel
+@helper
 def _add_moments(total, weight, coc, length, motion):
     """Add a pixel to the sums of its layer."""
     total[0] += weight
@@ -39,7 +39,7 @@ def layer_moments(begin, end, variant, layer, farther, coc, length, motion, tota
                     _add_moments(each, weight, *labels, motion[row, col])
 
 
-@kernel
+@helper
 def _share_before(layer, farther, number):
     """Return the share of a pixel that belongs to layers before a number."""
     if layer >= number:

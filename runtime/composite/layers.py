@@ -100,7 +100,8 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
     layer = moments.coc, *moments.motion
     for members, *sample in passes:
-        _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
+        labels = tuple(map(np.ascontiguousarray, sample))
+        _visibility_kernels.scatter_passing(tuple(members), number, labels, layer, padding, passing)
     _blur(passing, moments, repeat=False)
     return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
 

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
@@ -75,7 +74,8 @@ def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.boo
     """
     total, count = np.zeros_like(image), np.zeros(image.shape[:2], np.float32)
     for number, sample in enumerate(radiance):
-        for_bands(_calibration_kernels.add_samples, len(count), sample, valid[:, :, number], total, count)
+        there = np.ascontiguousarray(valid[:, :, number])
+        for_bands(_calibration_kernels.add_samples, len(count), sample, there, total, count)
     bright = image[::BLOCK, ::BLOCK, :3].mean(axis=2)
     if not (bright > 0).any():
         return
@@ -105,4 +105,6 @@ def _gain(sums: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64
 
 
 def _blurred(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:
+    from scipy import ndimage
+
     return np.asarray(ndimage.gaussian_filter(planes, (width, width, 0), mode="reflect", truncate=3.0))

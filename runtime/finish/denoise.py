@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from spreadlets.arrays import Image
 from spreadlets.packages import optional_package
@@ -71,6 +70,8 @@ def denoise_sharp(image: Image, sharp: Image, method: str) -> Image:
     -------
     ndarray of shape (H, W, 4), float32
     """
+    from scipy import ndimage
+
     weight = np.clip(2.0 * ndimage.uniform_filter(sharp, SHARP_WINDOW, mode="nearest") - 1.0, 0.0, 1.0)[..., None]
     colour = image[..., :3]
     mixed = colour + weight * (DENOISING[method](colour) - colour)

@@ -7,7 +7,7 @@ same instructions from the same inputs whichever thread owns it, so results do n
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
@@ -25,7 +25,7 @@ MAGNITUDE_BITS = np.int32(0x7FFFFFFF)
 FASTMATH = {"contract"}
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _row(image, index, zeros):
     """Return a row, or zeros outside the image."""
     if 0 <= index < image.shape[0]:
@@ -33,7 +33,7 @@ def _row(image, index, zeros):
     return zeros
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _filter_rows(out, image, index, taps, zeros):
     """Filter along the columns: write the weighted sum of the seven rows around `index`."""
     centre = _row(image, index, zeros)
@@ -50,7 +50,7 @@ def _filter_rows(out, image, index, taps, zeros):
         )
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _filter_cols(out, row, step, taps):
     """Filter along a row: `out[j]` is centred on `row[j + 3 * step]`."""
     left_3, left_2, left_1 = row, row[step:], row[2 * step :]
@@ -65,20 +65,20 @@ def _filter_cols(out, row, step, taps):
         )
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _add(out, row):
     for j in range(out.shape[0]):
         out[j] += row[j]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _take_even_pixels(out, row, n_channels):
     for pixel in range(out.shape[0] // n_channels):
         for channel in range(n_channels):
             out[pixel * n_channels + channel] = row[2 * pixel * n_channels + channel]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _put_even_pixels(out, row, n_channels):
     for pixel in range(row.shape[0] // n_channels):
         for channel in range(n_channels):
@@ -116,7 +116,7 @@ def filter_down(begin, end, fine, coarse, taps, pad, n_channels, scratch):
             _take_even_pixels(coarse[k], filtered, n_channels)
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _stretch_rows(out, coarse, position, taps, zeros):
     """Interpolate along the columns at a fine row: only every second of the seven taps meets a coarse row."""
     first = (position - FILTER_RADIUS + 1) // 2
@@ -183,7 +183,7 @@ def filter_level(begin, end, source, out, taps, n_channels, scratch):
             _filter_cols(out[i], row, n_channels, taps[1])
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _mirrored(index, count):
     """Odd reflection about the zero pixels just outside: an index inside the array, and the sign of its value."""
     if index < 0:
@@ -193,7 +193,7 @@ def _mirrored(index, count):
     return index, np.float32(1)
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _largest_magnitude(row):
     """Bits of the largest magnitude in a row: as integers they order like the numbers, with infinity and NaN on top."""
     bits = row.view(np.int32)
@@ -203,7 +203,7 @@ def _largest_magnitude(row):
     return largest
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _sum_pixels(sums, row, n_channels, scratch):
     """Sum a row over its pixels, by folding it in half until one pixel is left."""
     remaining = row.shape[0] // n_channels
@@ -220,7 +220,7 @@ def _sum_pixels(sums, row, n_channels, scratch):
         sums[channel] = scratch[channel]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _split_pixels(even, odd, row, n_channels):
     """Part a row of 2 n + 1 pixels into its n + 1 even and n odd ones; four channels move as one vector."""
     n_odd = odd.shape[0] // n_channels
@@ -240,7 +240,7 @@ def _split_pixels(even, odd, row, n_channels):
         even[n_odd * n_channels + channel] = row[2 * n_odd * n_channels + channel]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _join_pixels(row, even, odd, n_channels):
     """Inverse of `_split_pixels`."""
     n_odd = odd.shape[0] // n_channels
@@ -260,7 +260,7 @@ def _join_pixels(row, even, odd, n_channels):
         row[2 * n_odd * n_channels + channel] = even[n_odd * n_channels + channel]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _copy_row(out, row):
     """Copy a row that may be shorter than its target; the rest becomes zero."""
     for j in range(row.shape[0]):
@@ -269,7 +269,7 @@ def _copy_row(out, row):
         out[j] = 0
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _residual_row(out, above, row, below, source, step):
     """Write `source - Lap u` of a row; the source may be shorter than the row.
 
@@ -292,7 +292,7 @@ def _residual_row(out, above, row, below, source, step):
         out[j] += source[j]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _coarsen_rows(out, rows, first, height, taps):
     """Filter along the columns: the seven rows from `first` on, out of a ring of eight."""
     w_0, w_1 = taps[3] * _mirrored(first, height)[1], taps[2] * _mirrored(first + 1, height)[1]
@@ -307,7 +307,7 @@ def _coarsen_rows(out, rows, first, height, taps):
         )
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _coarsen_cols(out, row, taps, n_channels, even, odd):
     """Filter along a row and keep its odd pixels."""
     count = out.shape[0]
@@ -363,7 +363,7 @@ def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, 
         for k in range(first, last):
             while position <= 2 * k + 4:
                 i = _mirrored(position, height)[0]
-                row = rows[position % 8][:count]
+                row = rows[position % 8, :count]
                 own = _row(source, i, zeros[:0])
                 if image.shape[0] == 0:
                     _copy_row(row, own)
@@ -379,7 +379,7 @@ def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, 
             _coarsen_cols(coarse[k], spare, taps, n_channels, even, odd)
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _stretch_cols(out, coarse, taps, n_channels, scratch):
     """Interpolate a coarse row of n pixels to 2 n + 1 pixels."""
     count = coarse.shape[0]
@@ -400,7 +400,7 @@ def _stretch_cols(out, coarse, taps, n_channels, scratch):
     _join_pixels(out, even, odd, n_channels)
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _blend_rows(out, rows, position, n_coarse, taps):
     """Interpolate along the columns at a fine row, from a ring of four stretched coarse rows."""
     if position % 2 == 0:
@@ -416,7 +416,7 @@ def _blend_rows(out, rows, position, n_coarse, taps):
         out[j] = w_0 * r_0[j] + w_1 * r_1[j] + w_2 * r_2[j] + w_3 * r_3[j]
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH)
 def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
     """One Jacobi step on a row: `out = row + weight * (Lap row - source)`.
 
@@ -445,7 +445,7 @@ def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
         target[j] = centre[j] + weight * (around - four * centre[j])
 
 
-@kernel(fastmath=FASTMATH)
+@helper(fastmath=FASTMATH, inline="always")
 def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, scratch):
     """Do the work of `relax` on the block (first row, end row, first pixel, end pixel) of its output.
 
@@ -472,12 +472,12 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
             # Step 0: interpolate.
             while next_coarse <= (position + position % 2) // 2 + 1:
                 line = coarse[_mirrored(next_coarse, n_coarse)[0]][first_col:end_col]
-                _stretch_cols(stretched[next_coarse % 4][:count], line, taps, n_channels, scratch[1:4])
+                _stretch_cols(stretched[next_coarse % 4, :count], line, taps, n_channels, scratch[1:4])
                 next_coarse += 1
-            row = scratch[8 + position % 3][n_channels : n_channels + count]
+            row = scratch[8 + position % 3, n_channels : n_channels + count]
             _blend_rows(row, stretched, position, n_coarse, taps)
             if image.shape[0] > 0:
-                _add(row, image[position][begin : begin + count])
+                _add(row, image[position, begin : begin + count])
         for step in range(1, n_steps + 1):
             i, reach = position - step, n_steps - step
             if i < max(first_row - reach, 0) or i >= min(end_row + reach, height):
@@ -487,7 +487,7 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
             below = slot + (i + 1) % 3 if i + 1 < height else 0
             known = source.shape[1] if i < source.shape[0] else 0
             if step < n_steps:
-                at, to = (above, slot + i % 3, below, 0), (slot + 3 + i % 3, n_channels, count)
+                at, to = (above, slot + i % 3, below, np.int64(0)), (slot + 3 + i % 3, n_channels, count)
                 known_at = (min(i, source.shape[0] - 1), begin, min(known - begin, count))
                 _relax_row(scratch, to, scratch, at, source, known_at, weights[step - 1], n_channels)
             else:
@@ -495,7 +495,7 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
                 at, to = (above, slot + i % 3, below, first - begin), (i, first, last - first)
                 known_at = (min(i, source.shape[0] - 1), first, min(known, last) - first)
                 _relax_row(out, to, scratch, at, source, known_at, weights[step - 1], n_channels)
-                largest = max(largest, _largest_magnitude(out[i][first:last]))
+                largest = max(largest, _largest_magnitude(out[i, first:last]))
     return largest
 
 

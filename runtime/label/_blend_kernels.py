@@ -2,7 +2,7 @@
 
 import math
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 REACH = 2
 """A blend's surfaces are looked for within this, px: filters are up to 3 px wide."""
@@ -14,7 +14,7 @@ PURITY = 0.98
 """Share of a surface from which a pixel's depth is that of the surface."""
 
 
-@kernel
+@helper
 def _edge_kind(line, start, gap):
     """Return 1 if an edge jumps right behind a place of a line, 2 if it passes through one to three others, else 0."""
     first = line[start]
@@ -50,7 +50,7 @@ def count_edges(begin, end, place, gap, counts):
                 counts[row, kind - 1] += 1
 
 
-@kernel
+@helper
 def _are_close(depth, place, one, other, most):
     """Return whether two pixels are of one surface: neither depth nor place differs by more than ``most``."""
     if abs(place[one] - place[other]) > most[1]:
@@ -58,7 +58,7 @@ def _are_close(depth, place, one, other, most):
     return depth[one] == depth[other] or abs(depth[one] - depth[other]) <= most[0]
 
 
-@kernel
+@helper
 def _lies_on_surface(depth, place, alpha, row, col, most):
     """Return whether a pixel is, or lies beside, one of its depth that is amid others of this depth."""
     height, width = place.shape

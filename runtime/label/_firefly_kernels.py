@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 
-@kernel
+@helper
 def brightness(colour):
     """Return the mean of red, green and blue of a pixel (4,), float32."""
     return (colour[0] + colour[1] + colour[2]) * np.float32(1.0 / 3.0)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 REACH = 2
 """Surfaces whose pixels lie no farther than this, px, may be seen in a pixel: filters are up to 3 px wide."""
@@ -49,7 +49,7 @@ def find_purity(begin, end, place, gap, purity):
             purity[row, col] = own / total
 
 
-@kernel
+@helper
 def _surfaces_around(place, row, col, gap, spare, bounds):
     """Fill ``bounds`` (MOST, 2) with the least and largest places of the surfaces around a pixel; return their number.
 
@@ -90,7 +90,7 @@ def _surfaces_around(place, row, col, gap, spare, bounds):
     return int((best > 0.0).sum())
 
 
-@kernel
+@helper
 def _edge_share(place, row, col, low, high, inside):
     """Return how much of a pixel the places from ``low`` to ``high`` cover, by their mean along the edge.
 
@@ -134,13 +134,13 @@ def _edge_share(place, row, col, low, high, inside):
     return share / total
 
 
-@kernel
+@helper
 def _brightness(colour):
     """Return the brightest channel of a colour."""
     return np.float64(max(colour[0], colour[1], colour[2]))
 
 
-@kernel
+@helper
 def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
     """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns.
 
@@ -173,7 +173,7 @@ def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
                         sums[s, 7 + c] += weight * value * value
 
 
-@kernel
+@helper
 def _colour_models(count, sums, mean, variance):
     """Fill mean and variance (MOST, 4) of each surface's colour from sums over its pixels.
 
@@ -200,7 +200,7 @@ def _colour_models(count, sums, mean, variance):
         mean[s, 3] = min(mean[s, 3], 1.0)
 
 
-@kernel
+@helper
 def _fit_shares(colour, mean, variance, trust, count, share):
     """Change the surfaces' shares of a pixel, from a first guess, to those that its colour makes most likely.
 
@@ -233,7 +233,7 @@ def _fit_shares(colour, mean, variance, trust, count, share):
         share[s] /= total
 
 
-@kernel
+@helper
 def _divide(colour, mean, variance, share, count, colours):
     """Fill the likeliest colours (MOST, 4) of a pixel's surfaces that add up to the pixel's; none is below 0."""
     for c in range(4):
@@ -251,7 +251,7 @@ def _divide(colour, mean, variance, share, count, colours):
             colours[s, c] *= max(1.0 - short / whole, 0.0) if whole > 0.0 else 1.0
 
 
-@kernel
+@helper
 def _find_sources(place, purity, row, col, bounds, count, source, trust):
     """Fill row and column of the nearest pixel of each surface, of two the purer; and how far to trust its share."""
     height, width = place.shape
@@ -266,7 +266,7 @@ def _find_sources(place, purity, row, col, bounds, count, source, trust):
         trust[s] = TRUST_NEAR if nearest < 2.0 else TRUST_FAR
 
 
-@kernel
+@helper
 def _is_mixed(place, row, col, gap):
     """Return whether the places around a pixel differ by the gap."""
     height, width = place.shape

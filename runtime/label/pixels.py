@@ -87,7 +87,7 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
         optics = camera.coc_scale(width), 1.0 / camera.focus_distance_m
         for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, coc)
     if not motion or not layer.has_motion:
-        return Labels(coc, np.broadcast_to(length[..., None], (height, width, 2)), length, None, view)
+        return Labels(coc, np.zeros((height, width, 2), np.float32), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
     path = layer.motion * np.float32(camera.shutter_duration)
     for_bands(_label_kernels.path_lengths, len(length), path, length)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 
-@kernel
+@helper
 def _median(values, n):
     """Return the median of the first n values, sorting them in place."""
     for i in range(1, n):
@@ -46,7 +46,7 @@ def border_colours(strip, half, colour):
             colour[col, c] = _median(values, 2 * half + 1)
 
 
-@kernel
+@helper
 def colour_beyond(colours, down, right, row, col):
     """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
     above, below, before, behind = colours

@@ -3,18 +3,7 @@
 import numpy as np
 
 from spreadlets.compiled import kernel
-
-LINEAR_END = np.float32(0.0031308)
-LINEAR_SLOPE = np.float32(12.92)
-"""The linear part of the sRGB curve: where it ends, and how steep it is."""
-
-
-@kernel
-def _display_slope(level):
-    """Return the slope of the sRGB curve at a linear level; beyond 1, where the display clips, that at 1."""
-    if level <= LINEAR_END:
-        return LINEAR_SLOPE
-    return np.float32(1.055 / 2.4) * min(level, np.float32(1.0)) ** np.float32(1.0 / 2.4 - 1.0)
+from spreadlets.runtime.plan._display_kernels import display_slope
 
 
 @kernel
@@ -55,7 +44,7 @@ def merge_blocks(begin, end, radiance, label, factor, tolerance, merged, merged_
                 # Half the sum of the deviations, per pixel of the four; alpha counts as it is.
                 deviation = np.float32(0.5) * quarter * (abs(p - mean) + abs(q - mean) + abs(r - mean) + abs(s - mean))
                 if deviation > 0:
-                    change = max(change, deviation * (_display_slope(mean) if c < 3 else np.float32(1.0)))
+                    change = max(change, deviation * (display_slope(mean) if c < 3 else np.float32(1.0)))
             change *= np.float32(4.0) * factor[index]
             if change <= tolerance:
                 merged_label[row, col] = index

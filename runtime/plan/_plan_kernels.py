@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 
 INVISIBLE = -1
@@ -12,7 +12,7 @@ SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 
 
-@kernel
+@helper(inline="always")
 def _scale_step(excess, steps_per_octave, n_scales):
     """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
     if not excess > 1.0:
@@ -22,7 +22,7 @@ def _scale_step(excess, steps_per_octave, n_scales):
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
-@kernel
+@helper(inline="always")
 def _same(coordinate, heading, coc, row, col):
     """Tell whether a pixel has the labels of the one to its left."""
     same = coc[row, col] == coc[row, col - 1]
@@ -117,30 +117,11 @@ def mark_keys(begin, end, key, place):
 
 
 @kernel
-def number_keys(place):
-    """Replace the marks in ``place`` by ascending numbers, in place; return the marked keys, int64."""
-    count = 0
-    for i in range(len(place)):
-        count += place[i] == 0
-    used = np.empty(count, np.int64)
-    count = 0
-    for i in range(len(place)):
-        if place[i] == 0:
-            used[count] = i
-            place[i] = count
-            count += 1
-    return used
-
-
-@kernel
 def replace_keys(begin, end, key, place, label):
-    """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible; count the latter."""
-    invisible = 0
+    """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible."""
     for row in range(begin, end):
         for col in range(key.shape[1]):
             label[row, col] = place[key[row, col]] if key[row, col] >= 0 else -1
-            invisible += key[row, col] < 0
-    return invisible
 
 
 @kernel
@@ -152,41 +133,3 @@ def count_labels(label, n_variants):
             if label[row, col] >= 0:
                 count[label[row, col] % n_variants] += 1
     return count
-
-
-@kernel
-def turned_points(offset_rc, transpose, flip_row, flip_col):
-    """Apply a lattice symmetry to offsets (n, 2), int16, and sort them by row.
-
-    Returns
-    -------
-    turned : ndarray of shape (n, 2), int32
-        Swapped first, then negated; rows ascending.
-    order : ndarray of shape (n,), int64
-        The point that each of them was.
-    """
-    n = offset_rc.shape[0]
-    row_axis = 1 if transpose else 0
-    row_sign = -1 if flip_row else 1
-    col_sign = -1 if flip_col else 1
-    lowest = 1 << 30
-    highest = -(1 << 30)
-    for i in range(n):
-        row = row_sign * np.int64(offset_rc[i, row_axis])
-        lowest = min(lowest, row)
-        highest = max(highest, row)
-    # Counting sort: rows are few and dense.
-    place = np.zeros(highest - lowest + 2, np.int64)
-    for i in range(n):
-        place[row_sign * np.int64(offset_rc[i, row_axis]) - lowest + 1] += 1
-    place = np.cumsum(place)
-    turned = np.empty((n, 2), np.int32)
-    order = np.empty(n, np.int64)
-    for i in range(n):
-        row = row_sign * np.int64(offset_rc[i, row_axis])
-        k = place[row - lowest]
-        place[row - lowest] += 1
-        turned[k, 0] = row
-        turned[k, 1] = col_sign * np.int64(offset_rc[i, 1 - row_axis])
-        order[k] = i
-    return turned, order

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._border_kernels import colour_beyond
 
 STEP_BITS = 4
@@ -100,7 +100,7 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
                                 out_radiance[place, c] = part * colour[c]
 
 
-@kernel
+@helper
 def _counting_sort(values, order, count, result):
     """Sort ``order`` by ``values[order]``, equal ones as they were, into ``result``; ``count`` has room for all values.
 

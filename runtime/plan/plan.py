@@ -13,16 +13,18 @@ import numpy.typing as npt
 
 from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
+from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
+from spreadlets.runtime.plan.highlights import find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
-from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, split_spike, variant_points
+from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, split_spike, variant_points
 from spreadlets.runtime.splat.passes import PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -34,12 +36,6 @@ N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 NEVER_SHARP = -1.0
-HIGHLIGHT_RATIO = 1e4
-"""A pixel so many times brighter than the median is drawn in full: the field around its spreadlet would show."""
-MOST_HIGHLIGHTS = 0.01
-"""Share of the pixels up to which they are drawn in full: where there are more, they are what is to be seen."""
-HIGHLIGHT_STEP = 4
-"""Every so many rows and columns are looked at for the median."""
 WIDE_REACH = 8
 """Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
 it is the mean of many such errors that counts."""
@@ -54,9 +50,9 @@ class Plan:
     sources : list of list of SplatPass
         The labelled pixels to draw, continued beyond the frame's border: for each pass single pixels and blocks.
     table : PointTable
-        The points of the variants in use, and behind them the spikes that were taken off some of them.
+        The points of the variants in use; behind them the PSFs of highlights, and the spikes that were taken off some.
     n_variants : int
-        Variants without the spikes.
+        Variants without those: pixels that have one of them are drawn twice.
     n_layers : int
         Depth layers.
     members : list of Membership
@@ -91,7 +87,6 @@ class Plan:
             splats += count
             drawn += count * source.stride**2
             merged += count * source.stride**2 if source.stride > 1 else 0
-        # A pixel with a spike is drawn twice.
         drawn[self.n_variants :] = 0
         return {
             "pixels_sparse": int(drawn[~self.table.direct].sum()),
@@ -131,6 +126,7 @@ def plan_pixels(
     border: bool = True,
     stochastic: bool = False,
     dense_psf: DensePsf | None = None,
+    exact_psf: ExactPsf | None = None,
 ) -> Plan:
     """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
 
@@ -149,21 +145,23 @@ def plan_pixels(
         Whether the pixels are stochastic samples.
     dense_psf : callable or None
         If given, every PSF is drawn in full from it, none as a spreadlet.
+    exact_psf : ExactPsf or None
+        What makes the PSFs of highlights; None to draw them as all others.
 
     Notes
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
-    drawn = _mark_highlights(passes, keys, database.n_spreadlets)
-    used, place = _used_keys(drawn)
-    indices = [np.empty(key.shape, np.int32) for key in drawn]
-    skipped = 0
-    for key, index in zip(drawn, indices, strict=True):
-        skipped += sum(for_bands(_plan_kernels.replace_keys, len(key), key, place, index))
-    _warn_beyond_range(database.grid, np.concatenate(excess), sum(key.size for key in keys) - skipped)
+    n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
+    _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
+    used, place = _used_keys(keys)
+    indices = [np.empty(key.shape, np.int32) for key in keys]
+    for key, index in zip(keys, indices, strict=True):
+        for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    points = list(variant_points(variants, database, dense_psf))
+    highlights = find_highlights(passes, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    points = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
@@ -171,13 +169,16 @@ def plan_pixels(
     softness = softness if options.softness is None else options.softness
     layering = divide(list(zip(labels, indices, strict=True)), n_layers, softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
-    parts = _all_parts(passes, members, border, layering.n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, table, layering.n_layers, stochastic))
+    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
+    beyond = _border_colours(passes) if border else [None] * len(passes)
+    parts = _all_parts(highlights.dimmed(passes), members, beyond, layering.n_layers, table.n_variants)
+    splats = list(_splat_passes(parts, table, layering.n_layers, wide))
     variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
     alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
+    own = highlights.splats(passes, members, table, len(variants), wide)
     merged = [merge_blocks(each, variation, 0.0 if dense_psf else options.tolerance) for each in splats]
     plan = Plan(
-        sources=[levels for levels, _ in merged] + [[each] for each in alone],
+        sources=[levels for levels, _ in merged] + [[each] for each in (*alone, *own)],
         table=table,
         n_variants=len(variants),
         n_layers=layering.n_layers,
@@ -229,37 +230,14 @@ def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32]
     return found
 
 
-def _mark_highlights(
-    passes: Sequence[Pixels], keys: Sequence[npt.NDArray[np.int64]], n_spreadlets: int
-) -> list[npt.NDArray[np.int64]]:
-    """Return the keys, those of strong highlights changed to the same PSFs drawn in full."""
-    threshold = HIGHLIGHT_RATIO * _median_light(passes)
-    changed = []
-    for pixels, key in zip(passes, keys, strict=True):
-        if not pixels.radiance.max(initial=0.0) > threshold:
-            changed.append(key)
-            continue
-        bright = pixels.radiance[..., :3].max(axis=2) > threshold
-        few = 0 < np.count_nonzero(bright) <= max(1.0, MOST_HIGHLIGHTS * bright.size)
-        full = key + 8 * N_SCALES * n_spreadlets
-        changed.append(np.where(bright & (key > _plan_kernels.SHARP), full, key) if few else key)
-    return changed
-
-
-def _median_light(passes: Sequence[Pixels]) -> float:
-    """Return the median of the brightest channel over some of the pixels that have light; 0 if none has any."""
-    some = [each.radiance[::HIGHLIGHT_STEP, ::HIGHLIGHT_STEP, :3].max(axis=2).ravel() for each in passes]
-    light = np.concatenate(some)
-    lit = light[light > 0]
-    return float(np.median(lit)) if len(lit) else math.inf
-
-
 def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
     """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
     place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
     for key in keys:
         for_bands(_plan_kernels.mark_keys, len(key), key, place)
-    return _plan_kernels.number_keys(place), place
+    used = np.flatnonzero(place == 0)
+    place[used] = np.arange(len(used))
+    return used, place
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
@@ -281,7 +259,6 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
         return SHARP
     scaled, orientation = divmod(key - 1, 8)
     step, spreadlet = divmod(scaled, int(cell_start[-1]))
-    full, step = divmod(step, N_SCALES)
     cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
     return Variant(
         cell=cell,
@@ -290,7 +267,6 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
         flip_row=bool(orientation & 2),
         flip_col=bool(orientation & 4),
         scale=float(np.exp2(step / SCALE_STEPS_PER_OCTAVE)),
-        full=bool(full),
     )
 
 
@@ -327,10 +303,13 @@ def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
 
 
 def _all_parts(
-    passes: Sequence[Pixels], members: Sequence[Membership], border: bool, n_layers: int, n_variants: int
+    passes: Sequence[Pixels],
+    members: Sequence[Membership],
+    beyond: Sequence[Colours | None],
+    n_layers: int,
+    n_variants: int,
 ) -> Iterator[_Part]:
-    """Yield all parts of all pixels."""
-    beyond = _border_colours(passes) if border else [None] * len(passes)
+    """Yield all parts of all pixels, with the colours beyond the border of each pass."""
     for pixels, member, colours in zip(passes, members, beyond, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):
@@ -352,9 +331,10 @@ def _parts(
             yield label, share
 
 
-def _splat_passes(parts: Iterator[_Part], table: PointTable, n_layers: int, stochastic: bool) -> Iterator[SplatPass]:
+def _splat_passes(
+    parts: Iterator[_Part], table: PointTable, n_layers: int, wide: npt.NDArray[np.bool_]
+) -> Iterator[SplatPass]:
     """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
-    wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     shifted = []
     for pixels, label, weight, colours in parts:
         if pixels.labels.shift is None:

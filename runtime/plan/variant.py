@@ -7,13 +7,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.spatial import ConvexHull
 
 from spreadlets.psf.database import Database
-from spreadlets.psf.laplacian import solve_dirichlet
+from spreadlets.psf.exact import direct_points
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan._plan_kernels import turned_points
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 
@@ -29,21 +26,15 @@ class DensePsf(Protocol):
         """Return the PSF."""
 
 
-MIN_DENSE_VALUE = 1e-7
-"""Pixels of a dense PSF below this share of its peak are not drawn: under float32's own resolution."""
 MIN_ROW_STEP = 2e-3
 """A row of a PSF counts as constant while it stays within this share of the peak: a traced disc is not quite even."""
 
-FULL_MARGIN = 16
-"""Border, px, of the solve that turns a spreadlet into its PSF."""
 SPIKE_SHARE = 0.01
 """A spike that holds less than this share of a channel's light is left where it is."""
-HULL_TOLERANCE = 1e-6
-"""How far outside the hull of its points, px, a pixel still counts as on it: rounding."""
 
 
 class Variant(NamedTuple):
-    """One PSF as a frame needs it: which stored spreadlet, how turned, how much larger, and whether drawn in full."""
+    """One PSF as a frame needs it: which stored spreadlet, how turned, and how much larger."""
 
     cell: int
     direction: int
@@ -51,7 +42,6 @@ class Variant(NamedTuple):
     flip_row: bool
     flip_col: bool
     scale: float
-    full: bool = False
 
 
 SHARP = Variant(-1, 0, False, False, False, 1.0)
@@ -69,20 +59,27 @@ def variant_points(variants: list[Variant], database: Database, dense_psf: Dense
     spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
     for each, spreadlet in zip(stored, spreadlets, strict=True):
         wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
-        yield _turned(in_full(wide) if each.full else wide, each)
+        yield _turned(wide, each)
+
+
+def own_points(psf: Spreadlet) -> Points:
+    """Return the points of a PSF that is drawn as it is: direct, and its rows ascending."""
+    return psf.offset_rc.astype(np.int32), psf.value, True
 
 
 def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
     """Return the points of a spreadlet, turned as the variant asks."""
-    turned, order = turned_points(spreadlet.offset_rc, variant.transpose, variant.flip_row, variant.flip_col)
-    return turned, spreadlet.value[order], spreadlet.direct
+    offset = spreadlet.offset_rc[:, ::-1] if variant.transpose else spreadlet.offset_rc
+    turned = np.where([variant.flip_row, variant.flip_col], -offset.astype(np.int32), offset)
+    order = np.argsort(turned[:, 0], kind="stable")
+    return turned[order], spreadlet.value[order], spreadlet.direct
 
 
 def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
     """Return the points of a variant's full PSF."""
     psf = dense_psf(variant.cell, variant.direction, variant.scale)
     if not dense_psf.by_rows:
-        return _turned(_dense_points(psf), variant)
+        return _turned(direct_points(psf), variant)
     # Differences along rows must be taken after turning.
     turned = psf.swapaxes(0, 1) if variant.transpose else psf
     turned = turned[:: -1 if variant.flip_row else 1, :: -1 if variant.flip_col else 1]
@@ -97,7 +94,7 @@ def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
     upsets the moments that keep the far field clean; the smallest change of the values restores them.
     """
     if spreadlet.direct:
-        return _dense_points(_magnified(spreadlet.to_dense(), scale))
+        return direct_points(_magnified(spreadlet.to_dense(), scale))
     offset = spreadlet.offset_rc.astype(np.float64) * scale
     rounded = np.rint(offset)
     value = spreadlet.value.astype(np.float64) / scale**2
@@ -105,26 +102,6 @@ def scaled(spreadlet: Spreadlet, scale: float) -> Spreadlet:
     moments = _moments(rounded)
     value += np.linalg.lstsq(moments, target - moments @ value, rcond=None)[0]
     return Spreadlet(rounded.astype(np.int16), value.astype(np.float32), False)
-
-
-def in_full(spreadlet: Spreadlet) -> Spreadlet:
-    """Return a spreadlet's PSF itself as direct points, of equal energy, and zero outside the hull of its points.
-
-    The field that a sparse Laplacian leaves around its PSF is some 1e-5 of it: too much next to a strong highlight.
-    """
-    if spreadlet.direct:
-        return spreadlet
-    half = np.asarray(spreadlet.extent)
-    psf = np.zeros((*(2 * (half + FULL_MARGIN) + 1), spreadlet.n_channels))
-    rows, cols = (spreadlet.offset_rc.astype(np.int64) + half + FULL_MARGIN).T
-    psf[rows, cols] = spreadlet.value
-    psf = np.maximum(solve_dirichlet(psf), 0.0)
-    edges = ConvexHull(spreadlet.offset_rc).equations
-    grid = np.stack(np.meshgrid(*(np.arange(-h, h + 1) for h in half + FULL_MARGIN), indexing="ij"), axis=-1)
-    psf[(grid @ edges[:, :2].T + edges[:, 2]).max(axis=2) > HULL_TOLERANCE] = 0.0
-    # The second moments of a Laplacian are those of its image's sum.
-    psf *= spreadlet.moments()[4:].sum(axis=0) / (4.0 * psf.sum(axis=(0, 1)))
-    return _dense_points(psf)
 
 
 def split_spike(points: Points) -> tuple[Points, npt.NDArray[np.float32]]:
@@ -170,6 +147,8 @@ def _moments(offset: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def _magnified(psf: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
     """Resample a centred PSF to a size larger by ``scale``, of equal energy."""
+    from scipy import ndimage
+
     half = [int(np.ceil((size // 2 + 1) * scale)) for size in psf.shape[:2]]
     grid = np.meshgrid(*(np.arange(-extent, extent + 1) / scale for extent in half), indexing="ij")
     centre = [size // 2 for size in psf.shape[:2]]
@@ -178,15 +157,6 @@ def _magnified(psf: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.flo
     magnified: npt.NDArray[np.float64] = np.stack(channels, axis=-1)
     magnified *= psf.sum() / magnified.sum()
     return magnified
-
-
-def _dense_points(psf: npt.NDArray[np.float64]) -> Spreadlet:
-    """Turn a centred dense PSF of shape (h, w, C) into direct points."""
-    rows, cols = np.nonzero(psf.max(axis=2) > MIN_DENSE_VALUE * psf.max())
-    value = psf[rows, cols]
-    value *= psf.sum(axis=(0, 1)) / value.sum(axis=0)
-    centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
-    return Spreadlet((np.stack([rows, cols], axis=1) - centre).astype(np.int16), value.astype(np.float32), True)
 
 
 def _row_differences(psf: npt.NDArray[np.float64]) -> Spreadlet:

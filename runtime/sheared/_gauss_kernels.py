@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.sheared._tile_kernels import N_SUMS, composite, gaussian, share_out
 
 ROTATED, SHEARED, EWA, ROUND_ROTATED, ROUND_SHEARED, ROUND_EWA = range(6)
@@ -58,7 +58,7 @@ def sheared_axes(sxx, sxy, syy):
     return math.sqrt(max(sxx - sxy * sxy / syy, 0.0)), math.sqrt(syy), sxy / syy
 
 
-@kernel
+@helper
 def shear_margin(sigma_y, beta):
     """Return how far a filter along the sheared axis reaches along x, px."""
     return int(math.ceil(abs(beta) * radius_of(sigma_y))) + 1
@@ -70,7 +70,7 @@ def recursion(sigma):
     return math.exp(-math.sqrt(2.0) / sigma) if sigma > 0.0 else 0.0
 
 
-@kernel
+@helper
 def radius_of(sigma):
     """Return the radius of a 1D filter, px: that of `gaussian`."""
     return min(REACH, int(math.ceil(3.0 * sigma)))
@@ -104,7 +104,7 @@ def footprint_of(sxx, sxy, syy):
     return longer, shorter, cosine, sine, probes, n_taps, level
 
 
-@kernel
+@helper
 def taps_of(longer, shorter, n_taps):
     """Return how far the taps of a footprint are from its lookups, along and across it, px."""
     if n_taps == 1:
@@ -146,7 +146,7 @@ def ring_of_layers(way, filters, column, rings):
         rings[layer, 0], rings[layer, 1], rings[layer, 2] = ring_of(way, covariance[0], covariance[1], covariance[2])
 
 
-@kernel
+@helper
 def covariance_in(numbers, column):
     """Return xx, xy and yy of a filter (F,), from a column on."""
     return np.float64(numbers[column]), np.float64(numbers[column + 1]), np.float64(numbers[column + 2])
@@ -196,7 +196,7 @@ def along_direction(source, weights, step_x, step_y, top, left, target):
                 out[i] += w00 * p00[i] + w01 * p01[i] + w10 * p10[i] + w11 * p11[i]
 
 
-@kernel
+@helper
 def along_line(source, begin, stride, weights, target):
     """Filter along an axis of the image, with symmetric weights.
 
@@ -263,7 +263,7 @@ def recursive_rows(source, gamma, begin, end, target):
                     target[top + row, col - begin, channel] = columns[col, row * N_SUMS + channel]
 
 
-@kernel
+@helper
 def add_scaled(values, factor, target):
     """Add values (n,) times a factor."""
     for i in range(target.size):
@@ -320,7 +320,7 @@ def halve(source, target):
                 target[row, col, c] = quarter * (upper + lower)
 
 
-@kernel
+@helper
 def spread_texels(source, texel, x, left, share, lines):
     """Interpolate rows of texels to pixels, linearly along x, and add them.
 
@@ -350,7 +350,7 @@ def spread_texels(source, texel, x, left, share, lines):
                 lines[row, begin + channel] += near * here[channel] + far * beside[channel]
 
 
-@kernel
+@helper
 def spread_lines(lines, texel, y, top, blurred):
     """Interpolate lines of a texel's height to rows of pixels, linearly along y, and add them.
 
@@ -403,7 +403,7 @@ def add_lookup(source, texel, share, x, y, left, top, lines, blurred):
     spread_lines(used, texel, y, top - first * texel, blurred)
 
 
-@kernel
+@helper
 def add_round_lookups(source, texel, share, offset, left, top, lines, blurred):
     """Add bilinear lookups at ``(-+offset, -+offset)`` px, two along x of two along y; parameters as for `add_lookup`.
 
@@ -418,7 +418,7 @@ def add_round_lookups(source, texel, share, offset, left, top, lines, blurred):
     spread_lines(used, texel, offset, top, blurred)
 
 
-@kernel
+@helper
 def look_up(way, sums, coarser, covariance, left, top, blurred):
     """Filter a tile with anisotropic lookups into two levels of a pyramid (LRDM section 6.1).
 
@@ -510,7 +510,7 @@ def next_level(between, shape):
     return between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
 
 
-@kernel
+@helper
 def second_ring(sigma_v, cosine, sine):
     """Return how far the second, shorter pass of a rotated filter reaches, (x, y) px."""
     radius = radius_of(sigma_v)
@@ -568,7 +568,7 @@ def blur_layers(way, filters, column, jobs, tile, begin, end, sums, between):
         first_pass(way, here, covariance, ring, (tile, tile), part)
 
 
-@kernel
+@helper
 def job_of(filters, column, jobs, tile, job, sums, between):
     """Return the sums of a job (h, w, N_SUMS), its covariance, ring and part between the passes."""
     layers, _, _, boxes, texels, starts = jobs

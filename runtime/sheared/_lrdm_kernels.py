@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.sheared._tile_kernels import MET, N_SUMS, SEEN
 
 COUNT, COC, COC_2, MX, MY, MXX, MXY, MYY = range(8)
@@ -53,7 +53,7 @@ def assign_partitions(coc, colour, step, n_partitions, begin, end, partition):
         partition[i] = np.uint8(place) if colour[i, 3] != np.float32(0.0) else np.uint8(n_partitions - 1)
 
 
-@kernel
+@helper
 def add_moments(moments, p, weight, coc, motion, moving):
     """Add a sample, or one that stands for several, to the moments (P, N_MOMENTS) of a partition."""
     c = np.float64(coc)
@@ -85,7 +85,7 @@ def below(random, limit):
     return np.int64((np.uint64(random) * np.uint64(limit)) >> np.uint64(32))
 
 
-@kernel
+@helper
 def bits_of(partition, begin, end):
     """Return a word with a bit for each partition that some samples are in; those 64 apart share theirs."""
     found, one, last = np.uint64(0), np.uint64(1), np.uint64(63)
@@ -162,7 +162,7 @@ def sparse_moments(samples, box, order, sparsity, seed, moving, moments):
         add_moments(moments, partition[i], weight, coc[i], motion[i], moving)
 
 
-@kernel
+@helper
 def disc_variance(variance, rate):
     """Return the variance along an axis of a uniform disc whose samples weigh ``exp(-rate * r^2)``."""
     a = 4.0 * variance * rate
@@ -171,7 +171,7 @@ def disc_variance(variance, rate):
     return 0.5 / rate * (1.0 - math.exp(-a) * (1.0 + a)) / -math.expm1(-a)
 
 
-@kernel
+@helper
 def box_variance(variance, rate):
     """Return the variance of a uniform interval whose samples weigh ``exp(-rate * t^2)``."""
     squared = 3.0 * variance * rate
@@ -181,7 +181,7 @@ def box_variance(variance, rate):
     return 0.5 / rate * (1.0 - 2.0 * z * math.exp(-squared) / (math.sqrt(math.pi) * math.erf(z)))
 
 
-@kernel
+@helper
 def weight_rate(excess, variance):
     """Return half the inverse variance of a weight whose variance exceeds the samples' by some; 0 if negligible."""
     rate = 0.5 / (excess + variance) if excess + variance > 0.0 else 0.0
@@ -248,7 +248,7 @@ def set_up(m, spread, pixel, largest, moving, filters):
     filters[SYY] = pixel + lens_part + of_mean * y * y + of_spread * yy
 
 
-@kernel
+@helper
 def filter_extents(m, spread, pixel, moving, scratch):
     """Return the standard deviations of a partition's screen filter along its axes, the longer first, unclamped, px."""
     set_up(m, spread, pixel, np.inf, moving, scratch)
@@ -355,7 +355,7 @@ def set_up_tiles(samples, boxes, order, sampling, spread, settings, begin, end, 
         )
 
 
-@kernel
+@helper
 def land(place, lens, time, slopes, grid, moving, landing):
     """Find the texel of a grid that each sample of a row is reprojected to (LRDM Eq. 1).
 
@@ -405,7 +405,7 @@ def choose(landing, partition, counts, chosen):
     return n
 
 
-@kernel
+@helper
 def add_alike(colour, landing, partition, counts, chosen, sums):
     """Add chosen samples of weight 1 to sums (texels, N_SUMS); those that passed the layer with a colour of 0."""
     one, zero = np.float32(1.0), np.float32(0.0)
@@ -422,7 +422,7 @@ def add_alike(colour, landing, partition, counts, chosen, sums):
         )  # fmt: skip
 
 
-@kernel
+@helper
 def add_weighted(samples, landing, partition, counts, chosen, slopes, sums):
     """Add chosen samples with their weights over lens and time; samples are colour (n, 4), lens (n, 2), time (n,)."""
     colour, lens, time = samples

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.sheared._tile_kernels import MET, N_SUMS, SEEN, blur, composite, gaussian, share_out
 
 WEIGHT_LEVELS = 255.0
@@ -17,7 +17,7 @@ FILTERED_WEIGHT_LEVELS = 65535.0
 """Of filtered weights in fixed point: 16 bits (SLR Table I)."""
 
 
-@kernel
+@helper
 def pre_integrate(samples, partition, slot, filters, outer, origin, options, sums):
     """Add the samples around a tile to the sums of its layers (SLR Algorithm 1, first loop).
 
@@ -68,13 +68,13 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, options, sum
                     add(sums[layer], line, col, in_steps(weight, steps), colour[i], layer == own)
 
 
-@kernel
+@helper
 def in_steps(weight, steps):
     """Return a weight as a whole number of steps in fixed point, where there are any, or else as it is."""
     return np.float32(math.floor(weight * steps + np.float32(0.5))) if steps > np.float32(0.0) else weight
 
 
-@kernel(inline="always")
+@helper(inline="always")
 def add(sums, row, col, weight, colour, seen):
     """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if within."""
     if 0 <= row < sums.shape[0] and 0 <= col < sums.shape[1]:
@@ -85,7 +85,7 @@ def add(sums, row, col, weight, colour, seen):
                 sums[row, col, channel] += weight * colour[channel]
 
 
-@kernel
+@helper
 def saturate(sums):
     """Limit the sums (h, w, N_SUMS) of a layer to what fixed point holds."""
     for row in range(sums.shape[0]):
@@ -96,7 +96,7 @@ def saturate(sums):
                 sums[row, col, column] = min(sums[row, col, column], np.float32(WEIGHT_LEVELS))
 
 
-@kernel
+@helper
 def round_filtered(blurred):
     """Round the filtered sums (h, w * N_SUMS) of a layer: its mean colour, and its weights; take colours back to 1."""
     fine = np.float32(FILTERED_WEIGHT_LEVELS / WEIGHT_LEVELS)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 N_SUMS = 6
 """Of each pixel: weighted premultiplied R, G, B, A; weight of the samples in the layer; of those and of its holes."""
@@ -128,7 +128,7 @@ def composite(blurred, top, left, image, left_over):
                 left_over[row, col] *= np.float32(1.0) - opacity
 
 
-@kernel
+@helper
 def share_out(top, left, image, left_over):
     """Divide a tile's pixels by the light that layers stopped: what passed them all met no sample of a farther one."""
     for row in range(left_over.shape[0]):

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 
+import platformdirs
+
 from spreadlets.errors import InvalidParameterError
 
 FILE_VARIABLE = "SPREADLETS_WORK_SIZES"
@@ -58,8 +60,7 @@ class WorkSizes:
 def work_size_file() -> Path:
     """Return the path of this machine's work sizes; it need not exist."""
     given = os.environ.get(FILE_VARIABLE)
-    folder = os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config")
-    return Path(given) if given else Path(folder) / "spreadlets" / "work_sizes.json"
+    return Path(given) if given else platformdirs.user_config_path("spreadlets", appauthor=False) / "work_sizes.json"
 
 
 @cache

@@ -6,7 +6,7 @@ compiler from vectorising.
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
@@ -18,7 +18,7 @@ LONG_RUN = 16
 _U = np.uint64
 
 
-@kernel
+@helper
 def _run_end(label, shift, row, col):
     """Return the column behind the run that starts at (row, col): same label and, if there are shifts, same shift."""
     width = label.shape[1]
@@ -171,7 +171,7 @@ def point_offsets(begin, end, offset_rc, cols, offsets):
         offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
 
 
-@kernel
+@helper
 def _runs_near(level, first_row, n_rows, farthest):
     """Return the runs of a level that may reach ``n_rows`` rows of the canvas from ``first_row`` on: first, end."""
     _, _, row_start = level
@@ -180,7 +180,7 @@ def _runs_near(level, first_row, n_rows, farthest):
     return first, row_start[min(max(first_row + n_rows + farthest, 0), rows)]
 
 
-@kernel
+@helper(inline="always")
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
     colour = load(radiance, source)
@@ -190,7 +190,7 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
         store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
 
 
-@kernel
+@helper(inline="always")
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
     for p in range(begin, end):
@@ -200,7 +200,7 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
             store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
-@kernel
+@helper(inline="always")
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
     for p in range(begin, end):
@@ -210,7 +210,7 @@ def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, 
             store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
-@kernel
+@helper
 def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
     """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
     radiance, runs, _ = level
@@ -237,7 +237,7 @@ def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, v
             _draw_run(target, radiance, source, at, n, point_offset, value, begin, end)
 
 
-@kernel
+@helper
 def _spread(target, source, n_rows, stride, pitch):
     """Add to each pixel of the target those of the source that lie 0 and ``stride / 2`` above and to the left.
 
@@ -312,14 +312,14 @@ def splat_levels(begin, end, image, levels, offsets, points, value, canvas, band
             twos[: (n_rows + 1) * pitch] = np.float32(0.0)
             if first_4 < end_4:
                 fours[: (n_rows + 3) * pitch] = np.float32(0.0)
-                _draw_rows(fours, first_row - 3, n_rows + 3, level_4, 4, offsets[2], points, value, place)
-                _spread(twos, fours, n_rows + 1, 4, pitch)
-            _draw_rows(twos, first_row - 1, n_rows + 1, level_2, 2, offsets[1], points, value, place)
-            _spread(target, twos, n_rows, 2, pitch)
-        _draw_rows(target, first_row, n_rows, level_1, 1, offsets[0], points, value, place)
+                _draw_rows(fours, first_row - 3, n_rows + 3, level_4, np.int64(4), offsets[2], points, value, place)
+                _spread(twos, fours, n_rows + 1, np.int64(4), pitch)
+            _draw_rows(twos, first_row - 1, n_rows + 1, level_2, np.int64(2), offsets[1], points, value, place)
+            _spread(target, twos, n_rows, np.int64(2), pitch)
+        _draw_rows(target, first_row, n_rows, level_1, np.int64(1), offsets[0], points, value, place)
 
 
-@kernel
+@helper
 def _first_point(row, begin, end, wanted):
     """Return the first point of [begin, end) whose row is at least ``wanted``; the rows are sorted."""
     while begin < end:
@@ -331,7 +331,7 @@ def _first_point(row, begin, end, wanted):
     return begin
 
 
-@kernel
+@helper(inline="always")
 def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
     span_row, span_col, span_start = spans

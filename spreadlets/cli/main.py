@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import click
 import cloup
 
-from spreadlets.cli import databases, render, reports
+from spreadlets.cli import databases, render, reports, setup
 from spreadlets.cli.status import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_INTERRUPTED
 from spreadlets.errors import BuildStoppedError, SpreadletsError
 from spreadlets.version import __version__
@@ -26,6 +27,7 @@ def cli() -> None:
 
 cli.section("Make images", render.synth, render.reconstruct)
 cli.section("Databases and files", databases.build, databases.info)
+cli.section("Set up", setup.warmup)
 cli.section("Judge", reports.compare, reports.demo, reports.bench, reports.stability, render.tune)
 
 
@@ -33,9 +35,19 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     click.echo(f"warning: {message}", err=True)
 
 
+class _Notices(logging.Handler):
+    """Shows what the package tells while it works on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show one line."""
+        click.echo(record.getMessage(), err=True)
+
+
 def main() -> None:
     """Run the command line; errors of the caller's become one line and exit status 2."""
     warnings.showwarning = _show_warning
+    logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
+    logging.getLogger("spreadlets").setLevel(logging.INFO)
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Abort:

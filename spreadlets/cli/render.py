@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from spreadlets.cli.options import (
     splatting_options,
 )
 from spreadlets.cli.show import print_figures, progress_bar
+from spreadlets.cli.status import EXIT_FAILURE
 from spreadlets.errors import AmbiguousInputWarning
 
 
@@ -82,11 +84,12 @@ def synth(
     """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
 
     Several frames are depth layers of one view, nearest first. A path with a counter, such as frame.####.exr or
-    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept.
+    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept, and a frame that
+    cannot be made does not stop the others.
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
-    from spreadlets.files.sequence import is_pattern, numbered
+    from spreadlets.files.sequence import is_pattern, listed, numbered
     from spreadlets.runtime.options import RENDER_OPTIONS
 
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
@@ -109,7 +112,12 @@ def synth(
 
         others = [camera, *([reference] if reference else [])]
         with warnings.catch_warnings():
-            print_figures(_sequence(frames, others, output, numbers, overwrite, make, as_json), as_json)
+            report = _sequence(frames, others, output, numbers, overwrite, make, as_json)
+    print_figures(report, as_json)
+    if report["failed"]:
+        count = f"{len(report['failed'])} of {len(report['frames'])} frames could not be made"
+        click.echo(f"failed: {count}: {listed(report['failed'])}", err=True)
+        sys.exit(EXIT_FAILURE)
 
 
 def _synthesise(job: _Job) -> dict[str, Any]:
@@ -153,11 +161,19 @@ def _sequence(
         warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
     with progress_bar(os.path.basename(output), quiet=as_json) as progress:
         report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
+    for entry in report["frames"]:
+        if "error" in entry:
+            click.echo(f"error: frame {entry['frame']}: {' '.join(entry['error'].split())}", err=True)
     if not as_json:
-        times = [None if entry["skipped"] else entry["time_s"]["total"] for entry in report["frames"]]
-        shown = ["kept" if seconds is None else f"{seconds:.2f} s" for seconds in times]
-        report["frames"] = {entry["output"]: text for entry, text in zip(report["frames"], shown, strict=True)}
+        report["frames"] = {entry["output"]: _outcome(entry) for entry in report["frames"]}
     return report
+
+
+def _outcome(entry: Mapping[str, Any]) -> str:
+    """Return what people are told of a frame of a sequence."""
+    if "error" in entry:
+        return "failed"
+    return "kept" if entry["skipped"] else f"{entry['time_s']['total']:.2f} s"
 
 
 @contextmanager

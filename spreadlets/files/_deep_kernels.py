@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import DoubleArray, IntArray
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 LayerArray = npt.NDArray[np.float32]
 
@@ -23,7 +23,7 @@ def density(alpha: float) -> float:
     return math.inf if alpha >= 1.0 else -math.log1p(-alpha)
 
 
-@kernel
+@helper
 def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None:
     """Mix parts of samples that fill the same range of depth into one.
 
@@ -74,7 +74,7 @@ def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None
         row[k] /= weight_sum
 
 
-@kernel
+@helper
 def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     """Split the samples of a pixel where others begin or end, sort them, and merge those that coincide.
 
@@ -180,7 +180,7 @@ def collect_layers(start: IntArray, table: DoubleArray, layer: IntArray, out: La
                 out[layer[first], pixel, k] = table[first, k]
 
 
-@kernel
+@helper
 def add_seams(bins: IntArray, begin: int, end: int, other: int, other_end: int, seam: DoubleArray) -> None:
     """Count, for every cut, the samples of a pixel that it parts from the nearest in depth of a neighbour's samples.
 

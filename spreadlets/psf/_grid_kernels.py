@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from spreadlets.arrays import BoolArray, DoubleArray, IntArray
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 _OCTANT = math.pi / 4.0
 
@@ -30,7 +30,7 @@ def triangular_root(value: float) -> int:
     return level
 
 
-@kernel
+@helper(inline="always")
 def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray) -> int:
     """Map a coordinate in grid units to its cell in O(1); coordinates outside the space are clamped into it.
 
@@ -72,7 +72,7 @@ def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray)
     return int(level_offset[level] + rank - inner_before)
 
 
-@kernel
+@helper
 def grid_coordinate(value: float, remap: DoubleArray, n_units: int) -> float:
     """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
 
@@ -108,7 +108,7 @@ def grid_coordinates(coordinates: DoubleArray, remap: DoubleArray, shape: IntArr
     return out
 
 
-@kernel
+@helper(inline="always")
 def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a motion angle into the octant [0, pi/4] and round it to the nearest of ``n_directions`` nodes.
 
@@ -141,7 +141,7 @@ def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bo
     return index, transpose, mirrored and not transpose, mirrored and transpose
 
 
-@kernel
+@helper(inline="always")
 def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a direction as `fold_direction` does, but tell it from its opposite: all eight symmetries are in use."""
     across, along = math.sin(angle), math.cos(angle)
@@ -158,7 +158,7 @@ def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     return index, transpose, flip_row, flip_col
 
 
-@kernel
+@helper
 def fold_pose(
     angle: float, in_front: bool, n_poses: int, codes: tuple[bool, bool, int]
 ) -> tuple[int, bool, bool, bool]:

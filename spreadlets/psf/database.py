@@ -209,7 +209,8 @@ class Database:
     def summary(self) -> dict[str, Any]:
         """Return what ``spreadlets info`` prints: model, counts, size, quality figures and provenance.
 
-        Means are over all spreadlets that are stored, direct ones included.
+        Means are over all spreadlets that are stored, direct ones included. What is drawn between the cells is under
+        ``between_cells``, see `precompute.build.between_cells`.
         """
         present = np.diff(self.point_start) > 0
         statistics = {name: column[present] for name, column in self.statistics().items()}
@@ -225,6 +226,7 @@ class Database:
             "min_ssim": float(statistics["ssim"].min()),
             "mean_l1": float(statistics["l1"].mean()),
             "max_energy_error": float(statistics["energy_error"].max()),
+            "between_cells": self.provenance.get("between_cells"),
             "build_s": self.provenance.get("build_s"),
             "seed": self.provenance.get("seed"),
             "parameters": self.provenance.get("parameters"),

@@ -46,10 +46,10 @@ COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
 
-COC_PROPORTION = 4.0
+COC_PROPORTION = 3.0
 """Units of CoC radius for each unit of motion. A wrong radius is seen all around a capsule, a wrong length at its ends
-only: with this proportion, 400 cells are as close to exact PSFs as 500 of a square grid, and a third of those that are
-hardly more than lines, which take the most points, is saved."""
+only: at random places in the range, cells in this proportion are closer to the exact PSFs than those of a square grid,
+and fewer of them are hardly more than lines, which take the most points."""
 
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""

@@ -18,7 +18,7 @@ DISPLAY_STEP = 1.0 / 255.0
 
 def coverage(shape: Array) -> Array:
     """Return the mean over each pixel of samples (SIDE * FINE, SIDE * FINE)."""
-    return shape.reshape(SIDE, FINE, SIDE, FINE).mean(axis=(1, 3))
+    return np.asarray(shape.reshape(SIDE, FINE, SIDE, FINE).mean(axis=(1, 3)))
 
 
 def fine_grid() -> tuple[Array, Array]:
@@ -144,7 +144,7 @@ def slanted_floor(lab: Lab) -> float:
     "a subject in focus, at most {} layers",
     (4, 8),
     given="a disc in focus before a bright plane 13 px out of focus",
-    oracle="the disc, but for a pixel and a half at its edge",
+    oracle="the disc, but for two pixels at its edge",
     budget=DISPLAY_STEP / 2,
 )
 def subject_in_focus(lab: Lab, layers: int) -> float:
@@ -154,4 +154,4 @@ def subject_in_focus(lab: Lab, layers: int) -> float:
     radiance = np.where(radius[..., None] < 25, 0.3 * texture(SIDE, SIDE), 1.0 + texture(SIDE, SIDE, 1))
     coc = np.where(radius < 25, 0.4 * x / 25, 13.0)
     image = lab.render(Frame(radiance, depth_of(coc, SIDE)), layers=layers)
-    return worst((image[..., :3] - radiance)[radius < 23.5])
+    return worst((image[..., :3] - radiance)[radius < 23])

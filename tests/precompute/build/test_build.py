@@ -87,7 +87,7 @@ def test_a_full_disk_is_one_error_and_loses_nothing(reference, tmp_path, monkeyp
     monkeypatch.setattr(os, "replace", replace_while_there_is_room)
     with pytest.raises(BuildStoppedError, match="cannot be stored in .*No space left on device.*same command goes on"):
         build(tmp_path / "a.h5")
-    assert len(list((tmp_path / "a.h5.parts").iterdir())) == 4 + len(["lock", "build.log"])
+    assert len(list((tmp_path / "a.h5.parts").iterdir())) == 4 + len(["lock", "holder", "build.log"])
     room[0] = 12 - 4  # for the cells, and not for the database
     with pytest.raises(BuildStoppedError, match="cannot write the database .*No space left.*same command"):
         build(tmp_path / "a.h5")

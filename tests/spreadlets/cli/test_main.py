@@ -210,8 +210,11 @@ def test_a_sequence_opens_its_database_once(run, shot, small_combined_path, monk
 
 
 def test_missing_frames_of_a_sequence_are_named(run, shot, small_combined_path):
-    status, _, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "2-6"))
+    status, _, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "4-6"))
     assert status == 2 and "3 frames are missing: 4-6" in err and not list(shot.glob("out*"))
+    status, out, err = run(*sequence_arguments(shot, small_combined_path, "--frames", "2-6"))
+    assert status == 1 and "failed: 3 of 5 frames could not be made: 4-6" in err and out.count("failed") == 4
+    assert sorted(path.name for path in shot.glob("out*")) == ["out.02.exr", "out.03.exr"]
     (shot / "shot.0002.exr").unlink()
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
     assert status == 0 and "warning: the sequence has no frames 2" in err
@@ -239,11 +242,27 @@ def test_an_interrupted_sequence_leaves_whole_frames_only_and_goes_on(run, shot,
     assert exr.read_image(shot / "out.02.exr").shape == (24, 32, 4)
 
 
-def test_a_bad_frame_of_a_sequence_is_named_and_earlier_ones_stay(run, shot, small_combined_path):
+def test_a_sequence_goes_on_after_a_bad_frame_and_names_it(run, shot, small_combined_path):
     (shot / "shot.0002.exr").write_bytes(b"no image")
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
-    assert status == 2 and out == "" and "error: frame 2: " in err and err.count("\n") == 1
-    assert [path.name for path in shot.glob("out*")] == ["out.01.exr"]
+    assert status == 1 and "error: frame 2: " in err and "failed: 1 of 3 frames could not be made: 2\n" in err
+    assert json.loads(out)["failed"] == [2] and "shot.0002.exr" in json.loads(out)["frames"][1]["error"]
+    assert sorted(path.name for path in shot.glob("out*")) == ["out.01.exr", "out.03.exr"]
+
+
+def test_an_option_that_suits_no_frame_stops_a_sequence_at_once(run, shot, small_combined_path):
+    status, out, err = run(*sequence_arguments(shot, small_combined_path, "--layers", "99999"), "--json")
+    assert status == 2 and out == "" and err.count("\n") == 1 and "layers" in err
+
+
+def test_a_hash_in_a_folders_name_is_no_counter(run, shot, small_combined_path):
+    folder = shot / "take#2"
+    folder.mkdir()
+    (folder / "shot.exr").write_bytes((shot / "shot.0001.exr").read_bytes())
+    options = ("--camera", shot / "camera.json", "--db", small_combined_path)
+    assert run("synth", folder / "shot.exr", "-o", folder / "out.exr", *options)[0] == 0
+    assert run("synth", shot / "shot.####.exr", "-o", folder / "####_out.exr", "--frames", "1-2", *options)[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["0001_out.exr", "0002_out.exr", "out.exr", "shot.exr"]
 
 
 def test_a_sequence_warns_of_its_conventions_once(run, shot, small_combined_path):

@@ -1,0 +1,211 @@
+"""Compiled kernels of highlights: which pixels stand out, and the steps to which their labels are rounded."""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.plan._display_kernels import display_slope
+
+NOT_ALONE = -1
+"""Code of a pixel that is drawn with the PSF of its cell."""
+HEADING_BITS = 17
+HEADING_ZERO = 1 << (HEADING_BITS - 1)
+"""Bits of a code for each of a heading's two steps; where 0 lies."""
+THIN_RADIUS = 4.0
+"""CoC radius, px, below which headings are rounded to finer steps."""
+EDGE_WIDTH = 3
+"""How wide the edge of a lamp may be, px: filters of renderers reach about so far."""
+COLUMNS = 64
+"""Columns that are summed down together: they share their lines of the cache."""
+
+
+@kernel
+def brightest(begin, end, radiance, light):
+    """Fill ``light`` (H, W), float32, with the largest of R, G and B of each pixel of (H, W, 4)."""
+    for row in range(begin, end):
+        for col in range(light.shape[1]):
+            light[row, col] = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
+
+
+@kernel
+def sums_along_rows(begin, end, plane, half, sums):
+    """Sum a plane (H, W), float32, along its rows.
+
+    Parameters
+    ----------
+    half : tuple of two ints
+        Sums are over those of the ``2 half + 1`` pixels about each that are in the frame.
+    sums : ndarray of shape (2, H, W), float32
+        Filled, for each half.
+    """
+    width = plane.shape[1]
+    for row in range(begin, end):
+        for k in range(2):
+            reach = half[k]
+            total = np.float64(0.0)
+            for col in range(min(reach, width)):
+                total += plane[row, col]
+            for col in range(width):
+                if col + reach < width:
+                    total += plane[row, col + reach]
+                if col > reach:
+                    total -= plane[row, col - reach - 1]
+                sums[k, row, col] = total
+
+
+@kernel
+def heading_step(radius, step):
+    """Return the step of a heading, px, for a CoC radius: half as long where the PSF is so thin that its ends show."""
+    return 0.5 * step if radius < THIN_RADIUS else step
+
+
+@helper
+def _pixels_about(place, size, half):
+    """Return how many pixels of a row, or a column, of a size are no farther than ``half`` from one of them."""
+    return min(place + half, size - 1) - max(place - half, 0) + 1
+
+
+@helper
+def _move_down(total, sums, row, half, begin, end):
+    """Move sums over rows (2, n) from the pixels of a row to those of the next, the columns from begin to end."""
+    height = sums.shape[1]
+    for k in range(2):
+        if row + half[k] < height:
+            total[k] += sums[k, row + half[k], begin:end]
+        if row > half[k]:
+            total[k] -= sums[k, row - half[k] - 1, begin:end]
+
+
+@kernel
+def standing_out(first, last, light, sums, counts, half, limits, excess):
+    """Find the pixels that stand out, and how much light their group adds to the display.
+
+    Parameters
+    ----------
+    light, half
+        See `brightest` and `sums_along_rows`.
+    sums : ndarray of shape (2, H, W), float32
+        Of the light, over the width of a group of pixels, and over that of its surroundings.
+    counts : ndarray of shape (2, H, W) or (0, 0, 0), float32
+        The same of the share of each pixel that is known; empty if all are.
+    limits : tuple of two floats
+        How many times brighter than its surroundings a pixel must be; how much of them must be known.
+    excess : ndarray of shape (H, W), float32
+        Filled with what the group about the pixel, or the pixel by itself, has above the mean of the surroundings,
+        times the display's slope at that mean; 0 where the pixel does not stand out. Divided by the area of a PSF, it
+        is how much the display changes under it.
+    """
+    height, width = light.shape
+    ratio, least_known = limits
+    for part in range(first, last):
+        begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
+        total, known, n_cols = np.zeros((2, end - begin)), np.zeros((2, end - begin)), np.empty((2, end - begin))
+        for k in range(2):
+            for col in range(begin, end):
+                n_cols[k, col - begin] = _pixels_about(col, width, half[k])
+            for row in range(min(half[k], height)):
+                total[k] += sums[k, row, begin:end]
+                if counts.shape[0]:
+                    known[k] += counts[k, row, begin:end]
+        for row in range(height):
+            _move_down(total, sums, row, half, begin, end)
+            if counts.shape[0]:
+                _move_down(known, counts, row, half, begin, end)
+            else:
+                for k in range(2):
+                    known[k] = _pixels_about(row, height, half[k]) * n_cols[k]
+            least = least_known * _pixels_about(row, height, half[1])
+            for col in range(begin, end):
+                i = col - begin
+                own, n_around, around = (
+                    np.float64(light[row, col]),
+                    known[1, i] - known[0, i],
+                    total[1, i] - total[0, i],
+                )
+                excess[row, col] = 0.0
+                if n_around > least * n_cols[1, i] and own * n_around > ratio * max(around, 0.0):
+                    level = max(around, 0.0) / n_around
+                    more = max(total[0, i] - known[0, i] * level, own - level)
+                    excess[row, col] = more * np.float64(display_slope(np.float32(level)))
+
+
+@kernel
+def sources_of_light(begin, end, light, excess, ratio, source):
+    """Find the pixels that the light of those that stand out is from: of a much brighter neighbour, or their own.
+
+    Along the edge of a lamp pixels are blends: their light is the lamp's, their depth may be of what is behind.
+
+    Parameters
+    ----------
+    light, excess : ndarray of shape (H, W), float32
+        See `brightest` and `standing_out`.
+    ratio : float
+        How many times as bright a neighbour must be.
+    source : ndarray of shape (H, W), int64
+        Filled with their places in the flattened frame.
+    """
+    height, width = light.shape
+    for row in range(begin, end):
+        for col in range(width):
+            here, there = row * width + col, -1
+            source[row, col] = here
+            if excess[row, col] == 0.0:
+                continue
+            for _ in range(EDGE_WIDTH):
+                y, x = here // width, here % width
+                there = here
+                for i in range(max(y - 1, 0), min(y + 2, height)):
+                    for j in range(max(x - 1, 0), min(x + 2, width)):
+                        if light[i, j] > light[there // width, there % width]:
+                            there = i * width + j
+                if light[there // width, there % width] <= ratio * light[y, x]:
+                    break
+                here = there
+            source[row, col] = here
+
+
+@kernel
+def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
+    """Pack the labels of highlights, rounded, into codes.
+
+    Parameters
+    ----------
+    key : ndarray of shape (H, W), int64
+        See `runtime.plan._plan_kernels.variant_keys`: pixels that are invisible are none.
+    excess : ndarray of shape (H, W), float32
+        See `standing_out`.
+    labels : tuple of three ndarrays
+        Signed CoC radius (H, W) and length of the path (H, W), px; heading (H, W, 2), px: where the PSF's direction
+        comes from.
+    steps : tuple
+        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; longest step of the
+        heading, px;
+        whether the sides of the focus differ.
+    limits : tuple of two floats
+        Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
+    code : ndarray of shape (H, W), int64
+        Filled; `NOT_ALONE` where the pixel is no highlight.
+    """
+    coc, length, heading = labels
+    radius_steps, longest_step, sided = steps
+    for row in range(begin, end):
+        for col in range(key.shape[1]):
+            code[row, col] = NOT_ALONE
+            if key[row, col] < 0 or excess[row, col] == 0.0:
+                continue
+            radius = abs(np.float64(coc[row, col]))
+            area = max(math.pi * radius * radius + 2.0 * radius * np.float64(length[row, col]), 1.0)
+            if excess[row, col] <= limits[0] * area or area > limits[1]:
+                continue
+            n_steps = np.int64(radius_steps * math.sqrt(radius) + 0.5)
+            step_px = heading_step((n_steps / radius_steps) ** 2, longest_step)
+            packed = 2 * n_steps
+            if sided and coc[row, col] < 0.0:
+                packed += 1
+            for axis in range(2):
+                place = np.float64(heading[row, col, axis]) / step_px
+                # Halves away from 0: mirror images are rounded to mirror images.
+                step = np.int64(math.copysign(math.floor(abs(place) + 0.5), place))
+                packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)
+            code[row, col] = packed

@@ -1,0 +1,348 @@
+"""Highlights: pixels so bright that the rim of their PSF shows are drawn with a PSF of their own, and not of a cell.
+
+The PSF of a cell is blurred over the cell: at the rim it is off by up to half of its level, which is invisible in a dim
+pixel among its like, and all that is seen of a lamp. A pixel's error is its light times that of its PSF: where it would
+show, the PSF is made at the pixel's own coordinate. Labels are rounded so that the pixels of a lamp, and neighbours
+along a row, share one.
+
+Only the light is drawn so. What the pixel covers, its alpha, stays with its cell as its neighbours' does, so that
+together they still cover all.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import BoolArray, DoubleArray, FloatArray, Image, IntArray
+from spreadlets.parallel import for_bands
+from spreadlets.psf.exact import ExactPsf
+from spreadlets.psf.model import PsfModel
+from spreadlets.psf.spreadlet import Spreadlet
+from spreadlets.runtime.label.labels import DIRECTIONS
+from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.options import DEFAULT_TOLERANCE
+from spreadlets.runtime.plan import _highlight_kernels
+from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE
+from spreadlets.runtime.plan._plan_kernels import INVISIBLE, SHARP
+from spreadlets.runtime.plan.layering import Membership
+from spreadlets.runtime.splat.passes import PointTable, SplatPass
+
+HALF_WIDTHS = 3, 15
+"""Of the group of pixels that a highlight may be, and of its surroundings, px."""
+STANDS_OUT = 5.0
+"""How many times brighter than its surroundings a pixel of a highlight is; along a straight edge it is twice."""
+MUCH_BRIGHTER = 2.0
+"""How many times as bright a neighbour is for a pixel to be the edge of it, with its light."""
+LEAST_KNOWN = 0.25
+"""Share of its surroundings that must be known to tell whether a pixel stands out."""
+LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
+"""Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
+of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
+RADIUS_STEPS = 48.0
+"""CoC radii are rounded to steps of ``2 sqrt(r) / 48``, with which cells grow, too: by 1 % at 4 px, 1/6 px at 64 px."""
+PATH_STEP_PX = 1.0
+"""Paths are rounded to whole pixels; their ends are off by a quarter of one in the mean."""
+PLACES_ACROSS = 128
+"""Places across the image that tell one PSF of a lens from the next."""
+LARGEST_AREA = 1 << 18
+"""Largest PSF that is drawn in full, px; a lamp that is spread over more has no rim to see."""
+
+
+class Highlights(NamedTuple):
+    """The pixels that have a PSF of their own.
+
+    Attributes
+    ----------
+    number : list of ndarrays of shape (H, W), int32
+        For each pass, which of the PSFs is each pixel's; -1 for the others.
+    psfs : list of Spreadlet
+        Direct points, their rows ascending.
+    """
+
+    number: list[npt.NDArray[np.int32]]
+    psfs: list[Spreadlet]
+
+    def dimmed(self, passes: Sequence[Pixels]) -> list[Pixels]:
+        """Return the passes without the colours of highlights; their alpha stays."""
+        return [_dimmed(pixels, number >= 0) for pixels, number in zip(passes, self.number, strict=True)]
+
+    def splats(
+        self,
+        passes: Sequence[Pixels],
+        members: Sequence[Membership],
+        table: PointTable,
+        first_variant: int,
+        wide: npt.NDArray[np.bool_],
+    ) -> list[SplatPass]:
+        """Return the pass that draws the colours of highlights, without alpha; none if there are no highlights.
+
+        Parameters
+        ----------
+        passes : sequence of Pixels
+        members : sequence of Membership
+            The layers of their pixels.
+        table : PointTable
+            Of all variants; the PSFs of highlights are those from ``first_variant`` on.
+        first_variant : int
+        wide : ndarray of shape (n_variants,), bool
+            Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
+        """
+        lights = [
+            _Lights.of(pixels, member, np.where(number < 0, -1, number + first_variant))
+            for pixels, member, number in zip(passes, members, self.number, strict=True)
+            if (number >= 0).any()
+        ]
+        if not lights:
+            return []
+        shape = self.number[0].shape
+        parts = [part for each in lights for part in each.placed(wide).in_layers(table.n_variants)]
+        joined = _Lights(*map(np.concatenate, zip(*parts, strict=True)))
+        return [joined.reaching(shape, table).as_pass()]
+
+
+def find_highlights(
+    passes: Sequence[Pixels],
+    keys: Sequence[IntArray],
+    model: PsfModel,
+    exact_psf: ExactPsf | None,
+    *,
+    stochastic: bool = False,
+) -> Highlights:
+    """Find the pixels whose light shows the rim of a PSF, and make their PSFs.
+
+    Parameters
+    ----------
+    passes : sequence of Pixels
+    keys : sequence of ndarrays of shape (H, W), int64
+        The variant of each pixel of a pass, see `runtime.plan._plan_kernels.variant_keys`.
+    model : PsfModel
+    exact_psf : ExactPsf or None
+        What makes the PSFs; None if there are none but those of cells.
+    stochastic : bool
+        Whether the pixels are samples, which may be missing.
+    """
+    if exact_psf is None:
+        return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
+    lights = _lights(passes, stochastic)
+    found = zip(passes, keys, lights, strict=True)
+    codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
+    codes = _from_sources(passes, keys, codes, lights)
+    used, number = _numbered(codes)
+    view = passes[0].labels.view
+    coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
+    return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
+
+
+def rounded(
+    coordinate: DoubleArray, direction: DoubleArray, side: IntArray, model: PsfModel
+) -> tuple[DoubleArray, DoubleArray, IntArray]:
+    """Return coordinates, directions and sides as the PSFs of highlights have them.
+
+    Parameters
+    ----------
+    coordinate : ndarray of shape (n, n_axes), float64
+        In the units of the model's axes, the first of which is the CoC radius.
+    direction : ndarray of shape (n,), float64
+        Radians.
+    side : ndarray of shape (n,), int64
+        1 behind the focus, -1 in front of it.
+    model : PsfModel
+    """
+    view = model.settings.get("view", {"width_px": 1, "sensor_width_mm": 1.0})
+    mm_per_px = view["sensor_width_mm"] / view["width_px"]
+    heading = np.zeros((1, len(coordinate), 2), np.float32)
+    if model.has_direction:
+        size = coordinate[:, -1] / (1.0 if model.has_motion else mm_per_px)
+        heading[0] = (size * np.stack([np.cos(direction), np.sin(direction)])).T
+    coc = (side * coordinate[:, 0]).astype(np.float32)[None]
+    steps = RADIUS_STEPS, _longest_step(model, view["width_px"]), model.symmetry.sign != "ignored"
+    code = np.empty(coc.shape, np.int64)
+    every = np.ones(coc.shape, np.int64), np.full(coc.shape, np.inf, np.float32)
+    shape = coc, np.zeros_like(coc), heading
+    _highlight_kernels.highlight_codes(0, 1, *every, shape, steps, (0.0, np.inf), code)
+    return _coordinates(code[0], model, view["width_px"], mm_per_px)
+
+
+def _dimmed(pixels: Pixels, is_highlight: BoolArray) -> Pixels:
+    if not is_highlight.any():
+        return pixels
+    radiance = pixels.radiance.copy()
+    radiance[is_highlight, :3] = 0.0
+    return pixels._replace(radiance=radiance)
+
+
+class _Lights(NamedTuple):
+    """Pixels as a list: colours (n, 4); labels (n,); nearer layers and shares of the farther ones; places (n, 2)."""
+
+    radiance: Image
+    label: npt.NDArray[np.int32]
+    layer: npt.NDArray[np.int32]
+    farther: FloatArray
+    place: FloatArray
+    """Row and column in the frame, px."""
+
+    @classmethod
+    def of(cls, pixels: Pixels, members: Membership, label: npt.NDArray[np.int32]) -> _Lights:
+        """List the pixels of a pass that have a label, in raster order."""
+        at = np.nonzero(label >= 0)
+        weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
+        place = np.stack(at, axis=1).astype(np.float32)
+        if pixels.labels.shift is not None:
+            place += pixels.labels.shift[at][:, ::-1]
+        radiance = pixels.radiance[at] * weight
+        radiance[:, 3] = 0.0
+        return cls(radiance, label[at], members.layer[at], members.farther[at], place)
+
+    def placed(self, wide: npt.NDArray[np.bool_]) -> _Lights:
+        """Split what lies between pixels, bilinearly; wide variants are moved to the next pixel."""
+        place = np.where(wide[self.label, None], np.rint(self.place), self.place)
+        first = np.floor(place)
+        share = place - first
+        if not share.any():
+            return self._replace(place=first)
+        corners = []
+        for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = np.prod(np.where(corner, share, 1.0 - share), axis=1, keepdims=True).astype(np.float32)
+            corners.append(self._replace(radiance=self.radiance * weight, place=first + np.array(corner, np.float32)))
+        return _Lights(*map(np.concatenate, zip(*corners, strict=True)))
+
+    def in_layers(self, n_variants: int) -> list[_Lights]:
+        """Return the parts in the nearer and the farther layers, their labels those of layers and variants."""
+        parts = []
+        for part, share in enumerate((1.0 - self.farther, self.farther)):
+            label = (self.layer + np.int32(part)) * np.int32(n_variants) + self.label
+            each = self._replace(radiance=self.radiance * share[:, None], label=label)
+            parts.append(each.only(share > 0.0))
+        return parts
+
+    def only(self, kept: BoolArray) -> _Lights:
+        """Return some of the pixels."""
+        return _Lights(*map(operator.itemgetter(kept), self))
+
+    def reaching(self, shape: tuple[int, ...], table: PointTable) -> _Lights:
+        """Return those that have light and reach into a frame (H, W)."""
+        reach = table.reaches[self.label % table.n_variants]
+        beyond = np.maximum(-self.place, self.place - np.array(shape) + 1.0).max(axis=1)
+        kept = (beyond <= reach) & self.radiance.any(axis=1)
+        return self.only(kept)
+
+    def as_pass(self) -> SplatPass:
+        """Return a pass of one row."""
+        shift = self.place.astype(np.int32)
+        shift[:, 1] -= np.arange(len(shift), dtype=np.int32)
+        return SplatPass((0, 0), np.ascontiguousarray(self.radiance[None]), self.label[None], shift[None])
+
+
+class _Light(NamedTuple):
+    """What the colours of some passes say: how far each pixel stands out, and where its light is from."""
+
+    excess: FloatArray
+    source: IntArray
+    """See the kernels; each (H, W)."""
+
+
+def _lights(passes: Sequence[Pixels], stochastic: bool) -> list[_Light]:
+    """Return what the colours of each pass say; passes often share them."""
+    colours = {id(pixels.radiance): pixels.radiance for pixels in passes}
+    found = {key: _light(radiance, stochastic) for key, radiance in colours.items()}
+    return [found[id(pixels.radiance)] for pixels in passes]
+
+
+def _light(radiance: Image, stochastic: bool) -> _Light:
+    shape = radiance.shape[:2]
+    light, excess, source = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int64)
+    for_bands(_highlight_kernels.brightest, shape[0], radiance, light)
+    # A pixel without a sample is not dark: nothing is known of it.
+    counts = _row_sums(radiance[..., 3]) if stochastic else np.zeros((0, 0, 0), np.float32)
+    limits = STANDS_OUT, LEAST_KNOWN
+    n_stripes = -(-shape[1] // _highlight_kernels.COLUMNS)
+    planes = light, _row_sums(light), counts
+    for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess)
+    # Neighbours among samples have seen a lamp through other places of the lens.
+    ratio = np.inf if stochastic else MUCH_BRIGHTER
+    for_bands(_highlight_kernels.sources_of_light, shape[0], light, excess, ratio, source)
+    return _Light(excess, source)
+
+
+def _from_sources(
+    passes: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
+) -> list[IntArray]:
+    """Give the edges of lamps the codes of what their light is from, in whichever pass that is drawn."""
+    changed = []
+    for key, code, light in zip(keys, codes, lights, strict=True):
+        at = np.flatnonzero(code != NOT_ALONE)
+        source = light.source.ravel()[at]
+        most, best = np.zeros(len(at), np.float32), code.ravel()[at]
+        # What stays sharp needs no PSF of its own, save for the light that is another's.
+        best[(source == at) & (key.ravel()[at] == SHARP)] = NOT_ALONE
+        edges = source != at
+        for pixels, other, known, shared in zip(passes, keys, codes, lights, strict=True):
+            if shared is not light or not edges.any():
+                continue
+            weight = np.where(other.ravel()[source] == INVISIBLE, np.float32(0.0), np.float32(1.0))
+            if len(pixels.weight):
+                weight *= pixels.weight.ravel()[source]
+            better = edges & (weight > most) & (known.ravel()[source] != NOT_ALONE)
+            most[better], best[better] = weight[better], known.ravel()[source[better]]
+        mended = code.copy() if len(at) else code
+        mended.ravel()[at] = best
+        changed.append(mended)
+    return changed
+
+
+def _row_sums(plane: FloatArray) -> FloatArray:
+    sums = np.empty((2, *plane.shape), np.float32)
+    for_bands(_highlight_kernels.sums_along_rows, len(plane), np.ascontiguousarray(plane), HALF_WIDTHS, sums)
+    return sums
+
+
+def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> IntArray:
+    """Return the codes of a pass's highlights."""
+    labels, code = pixels.labels, np.empty(key.shape, np.int64)
+    nothing = np.zeros((), np.float32)
+    length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
+    heading = DIRECTIONS[model.symmetry.angle](labels) if model.has_direction else nothing
+    heading = np.broadcast_to(heading, (*key.shape, 2))
+    steps = RADIUS_STEPS, _longest_step(model, key.shape[1]), model.symmetry.sign != "ignored"
+    shape = labels.coc, length, heading
+    limits = LEAST_CHANGE, float(LARGEST_AREA)
+    for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, shape, steps, limits, code)
+    return code
+
+
+def _longest_step(model: PsfModel, width: int) -> float:
+    """Return the longest step of a heading, px: of a path, or of the place on an image of a width."""
+    return PATH_STEP_PX if model.symmetry.angle == "motion" else max(1.0, width / PLACES_ACROSS)
+
+
+def _numbered(codes: Sequence[IntArray]) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
+    """Return the codes in use, ascending, and the number of each pixel's code among them, -1 if it has none."""
+    starts = [np.flatnonzero(np.diff(code.ravel(), prepend=NOT_ALONE - 1)) for code in codes]
+    firsts = [code.ravel()[start] for code, start in zip(codes, starts, strict=True)]
+    used = np.unique(np.concatenate(firsts))
+    used = used[used != NOT_ALONE]
+    numbers = []
+    for code, start, first in zip(codes, starts, firsts, strict=True):
+        # Neighbours along a row share their code: look up each run once.
+        number = np.where(first == NOT_ALONE, -1, np.searchsorted(used, first)).astype(np.int32)
+        numbers.append(np.repeat(number, np.diff(start, append=code.size)).reshape(code.shape))
+    return used, numbers
+
+
+def _coordinates(
+    codes: IntArray, model: PsfModel, width: int, mm_per_px: float
+) -> tuple[DoubleArray, DoubleArray, IntArray]:
+    """Return the coordinates (n, n_axes), directions (n,) and sides (n,) that codes stand for."""
+    rest, mask = codes >> 2 * HEADING_BITS, (1 << HEADING_BITS) - 1
+    radius = ((rest >> 1) / RADIUS_STEPS) ** 2
+    step = np.array([_highlight_kernels.heading_step(each, _longest_step(model, width)) for each in radius])
+    x, y = (((codes >> bits & mask) - HEADING_ZERO) * step for bits in (HEADING_BITS, 0))
+    heading = np.hypot(x, y)
+    known = {"coc": radius, "depth": radius, "motion": heading, "eccentricity": heading * mm_per_px}
+    coordinate = np.stack([known[axis.name] for axis in model.axes], axis=-1)
+    return coordinate, np.arctan2(y, x), np.where(rest & 1, -1, 1).astype(np.int64)

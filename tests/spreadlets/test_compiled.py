@@ -1,0 +1,134 @@
+import shutil
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from spreadlets import compiled
+from spreadlets.compiled import count_compiled, kernel_folder
+from spreadlets.psf._grid_kernels import triangular_root
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="is about compiled code")
+
+UNWRITABLE = Path("/dev/null/no/folder")
+
+RUN = """
+import logging, sys
+from pathlib import Path
+import spreadlets.compiled as compiled
+logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+compiled.kernel_folder = lambda: Path(sys.argv[1])
+from spreadlets.psf._grid_kernels import triangular_root
+print(triangular_root(7.0), compiled.count_compiled())
+"""
+
+
+def run(code, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], env=environment or None, capture_output=True, text=True
+    )
+
+
+@pytest.fixture
+def places(monkeypatch, tmp_path):
+    """The package's own folder and the user's, for a test alone."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    package, user = tmp_path / "package", tmp_path / "user"
+    monkeypatch.setattr(compiled, "PACKAGE", package)
+    monkeypatch.setattr(compiled.platformdirs, "user_cache_path", lambda name: user / name)
+    return package / "__pycache__" / "kernels", user / "spreadlets" / "kernels"
+
+
+def refuse(monkeypatch, *folders):
+    can_be_written = compiled._can_be_written
+    monkeypatch.setattr(compiled, "_can_be_written", lambda folder: folder not in folders and can_be_written(folder))
+
+
+def test_kernels_are_kept_beside_the_package(places):
+    assert kernel_folder.__wrapped__() == places[0] and places[0].is_dir()
+
+
+def test_an_installation_that_cannot_be_written_to_keeps_them_with_the_user(places, monkeypatch):
+    refuse(monkeypatch, places[0])
+    assert kernel_folder.__wrapped__() == places[1]
+
+
+def test_kernels_that_came_with_an_installation_are_used_where_it_cannot_be_written_to(places, monkeypatch):
+    places[0].mkdir(parents=True)
+    (places[0] / "one.nbi").write_text("kernel")
+    refuse(monkeypatch, places[0])
+    assert (kernel_folder.__wrapped__() / "one.nbi").read_text() == "kernel"
+    refuse(monkeypatch, *places)
+    with pytest.warns(UserWarning, match="compiled again in each run"):
+        folder = kernel_folder.__wrapped__()
+    assert (folder / "one.nbi").read_text() == "kernel"
+
+
+def test_without_any_place_a_temporary_one_is_used_with_one_warning(places, monkeypatch):
+    refuse(monkeypatch, *places)
+    with pytest.warns(UserWarning) as caught:
+        folder = kernel_folder.__wrapped__()
+    assert folder.is_dir() and len(caught) == 1
+    assert all(str(place) in str(caught[0].message) for place in places) and "NUMBA_CACHE_DIR" in str(caught[0].message)
+
+
+def test_the_environment_decides(places, monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
+    assert kernel_folder.__wrapped__() == tmp_path / "mine"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a path that nothing can be written to")
+def test_a_read_only_installation_without_a_home_works_and_warns_once():
+    code = (
+        "import sys, pathlib, spreadlets.compiled as compiled\n"
+        f"compiled.PACKAGE = pathlib.Path({str(UNWRITABLE)!r})\n"
+        "from spreadlets.cli.main import main\n"
+        "sys.argv = ['spreadlets', 'info', 'combined', '--json']\n"
+        "main()\n"
+    )
+    done = run(code, HOME=str(UNWRITABLE), XDG_CACHE_HOME=str(UNWRITABLE), PYTHONPATH=":".join(sys.path))
+    assert done.returncode == 0 and '"n_cells"' in done.stdout
+    assert done.stderr.count("warning:") == 1 and len(done.stderr.splitlines()) == 1
+
+
+def test_kernels_are_compiled_once_said_so_and_survive_copying(tmp_path):
+    first, copy = tmp_path / "first", tmp_path / "copy"
+    first.mkdir()
+    said = f"compiling once: kernels are kept for later runs in {first}"
+    assert run(RUN, first).stdout.splitlines() == [said, "3 1"]
+    assert run(RUN, first).stdout.splitlines() == ["3 0"]
+    shutil.move(first, copy)
+    assert run(RUN, copy).stdout.splitlines() == ["3 0"]
+    for each in copy.glob("*.nbc"):
+        each.write_bytes(b"torn")
+    assert run(RUN, copy).stdout.splitlines()[-1] == "3 1"
+
+
+def test_a_change_of_any_kernel_makes_all_anew(monkeypatch, tmp_path):
+    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
+    one, other = tmp_path / "a_kernels.py", tmp_path / "b" / "b_kernels.py"
+    other.parent.mkdir()
+    one.write_text("1")
+    other.write_text("2")
+    states = [compiled._state_of_kernels.__wrapped__()]
+    other.write_text("3")
+    states.append(compiled._state_of_kernels.__wrapped__())
+    (tmp_path / "b" / "wrapper.py").write_text("4")
+    states.append(compiled._state_of_kernels.__wrapped__())
+    assert states[0] != states[1] == states[2]
+
+
+def test_a_full_disk_is_no_reason_to_fail(monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(triangular_root._cache._cache_file, "save", full)
+    before = count_compiled()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert triangular_root(np.float32(7.0)) == 3
+    assert count_compiled() == before + 1
