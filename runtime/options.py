@@ -29,10 +29,12 @@ SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_c
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 DEFAULT_LAYERS = 4
-"""Layers of a frame that comes without any."""
+"""Layers of a buffer of samples."""
+MOST_LAYERS = 12
+"""Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""
 MAX_LAYERS = 64
-DEFAULT_SOFTNESS = 1.0
-"""Width of the transition from one layer to the next, in layers."""
+SAMPLE_SOFTNESS, FRAME_SOFTNESS = 1.0, 0.0
+"""Width of the transition from one layer to the next, in layers: samples are many, and their layers few."""
 SAMPLE_CLAMP = 32.0
 """How many times as bright as all others around it a sample may be, by default."""
 
@@ -52,9 +54,10 @@ class Options:
     tolerance : float
         Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
     layers : int or None
-        Depth layers; by default those that the frame has, or a usual number if it has none.
-    softness : float
-        Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft).
+        Depth layers, of a frame at most; by default those that the frame has, or as many as it needs.
+    softness : float or None
+        Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft); by default hard for a frame and
+        soft for samples.
     firefly_clamp : float or None
         How many times as bright as any other within a pixel of where it comes from a sample may be; infinite for any.
         By default any in synthesis, and `SAMPLE_CLAMP` in reconstruction.
@@ -80,7 +83,7 @@ class Options:
     cycles: int = DEFAULT_CYCLES
     tolerance: float = DEFAULT_TOLERANCE
     layers: int | None = None
-    softness: float = DEFAULT_SOFTNESS
+    softness: float | None = None
     firefly_clamp: float | None = None
     denoise: str | None = None
     calibrate: bool = True
@@ -99,7 +102,7 @@ class Options:
             )
         if self.layers is not None and not 1 <= self.layers <= MAX_LAYERS:
             raise InvalidParameterError(f"layers is {self.layers}: allowed are 1 to {MAX_LAYERS}")
-        if not 0.0 <= self.softness <= 1.0:
+        if self.softness is not None and not 0.0 <= self.softness <= 1.0:
             raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
         if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
             raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, inf for off")

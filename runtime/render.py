@@ -15,14 +15,14 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
-from spreadlets.runtime.composite.visibility import HiddenShare, PassingSamples, View
+from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, View
 from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels, sample_pixels
-from spreadlets.runtime.options import DEFAULT_LAYERS, SAMPLE_CLAMP, Options
+from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import Report, Tally, plan_figures
@@ -93,13 +93,13 @@ def synthesize(
     is_whole = len(given) > 1
     if is_whole and options.layers is not None:
         given = [[pixels for group in given for pixels in group]]
-    n_layers = options.layers or (1 if is_whole else DEFAULT_LAYERS)
+    n_layers = options.layers or (1 if is_whole else MOST_LAYERS)
     for number, group in enumerate(given):
         with clock.step("plan"):
             plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf, exact_psf=exact_psf)
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
-            view = HiddenShare(group, plan) if plan.n_layers > 1 and not is_whole else None
+            view = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
         _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
     return _darkened(image, camera, database, options), Report.of(clock, plan_figures(tally, database))
 

@@ -4,18 +4,31 @@ import numpy as np
 
 from spreadlets.compiled import helper, kernel
 
-COVERAGE, COUNT, LAST = range(3)
-"""What a layer's sums are measured by: the share that was seen; that plus the sums' own weight; their weight alone."""
+COVERAGE, COUNT, REST, LAST = range(4)
+"""What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
+alone."""
+
+SOLVER_ERROR = np.float32(0.005)
+"""Measure, of a pixel's 1, up to which sums may be errors of the Poisson solver and the spreadlets' far fields."""
 
 
-@kernel
+@helper
+def _sure(measure):
+    """Return how far sums of this measure are to be believed, from 0 to 1."""
+    return min(max(measure / SOLVER_ERROR - np.float32(1.0), np.float32(0.0)), np.float32(1.0))
+
+
+@helper
 def _measure(weight, seen, kind):
     """Return by what the sums of a pixel are divided."""
+    own = max(weight, np.float32(0.0))
     if kind == LAST:
-        return max(weight, np.float32(0.0))
+        return own
     if kind == COUNT:
-        return max(weight, np.float32(0.0)) + seen
-    return max(weight, seen)
+        return own + seen
+    if kind == REST:
+        return own + max(np.float32(1.0) - own, np.float32(0.0)) * seen
+    return max(own, np.float32(1.0))
 
 
 @kernel
@@ -55,9 +68,9 @@ def add_layer(begin, end, image, padded, top, left, seen, kind):
     top, left : int
         Row and column, in the image, of the canvas's first pixel.
     seen : ndarray of shape (H, W) or (0, 0), float32
-        Share of the layer that was seen, or number of samples that passed it; empty if all of it was seen.
+        Number of samples that passed the layer, or share of what it leaves that lies beyond; empty if all does.
     kind : int
-        `COVERAGE`, `COUNT` or `LAST`; the last layer is opaque.
+        `COVERAGE`, `COUNT`, `REST` or `LAST`; the last layer is opaque.
     """
     rows, cols = padded.shape[:2]
     one = np.float32(1.0)
@@ -89,9 +102,14 @@ def pull_sums(begin, end, padded, top, left, seen, kind, shape, coarse):
                     own = np.float32(0.0)
                     if 0 <= i < rows and 0 <= j < cols:
                         own = padded[i, j, 3]
-                        red, green, blue = red + padded[i, j, 0], green + padded[i, j, 1], blue + padded[i, j, 2]
-                    weight += own
-                    measure += _measure(own, seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
+                    each = _measure(own, seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
+                    sure = _sure(each)
+                    if 0 <= i < rows and 0 <= j < cols:
+                        red += sure * padded[i, j, 0]
+                        green += sure * padded[i, j, 1]
+                        blue += sure * padded[i, j, 2]
+                    weight += sure * own
+                    measure += sure * each
             out = coarse[row, col]
             out[0], out[1], out[2], out[3], out[4] = red, green, blue, weight, measure
 
@@ -163,8 +181,12 @@ def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
                 continue
             i, j = row - top, col - left
             inside = 0 <= i < rows and 0 <= j < cols
-            measure = _measure(padded[i, j, 3] if inside else zero, seen[row, col] if seen.shape[0] else one, kind)
-            scale = one / max(measure, least)
+            weight = padded[i, j, 3] if inside else zero
+            share = seen[row, col] if seen.shape[0] else one
+            measure = _measure(weight, share, kind)
+            sure = _sure(measure)
+            measure *= sure
+            scale = sure / max(measure, least)
             for c in range(4):
                 each[c] = scale * padded[i, j, c] if inside else zero
             if measure < least:

@@ -48,14 +48,26 @@ def _share_before(layer, farther, number):
 
 
 @kernel
-def seen_share(begin, end, variant, layer, farther, number, seen):
-    """Fill ``seen`` (H, W), float32, with the share of each pixel that no layer before a number hides."""
+def add_cover(begin, end, variant, layer, farther, radiance, weight, number, nearer, beyond):
+    """Add what a pass of pixels covers of each pixel before a layer, and take off what it covers up to and with it.
+
+    Parameters
+    ----------
+    variant, layer, farther : ndarray of shape (H, W)
+        Of the pass, see `runtime.plan.layering.Membership`.
+    radiance : ndarray of shape (H, W, 4), float32
+        Its alpha, times ``weight`` (H, W), or (0, 0) for 1, is what it covers.
+    number : int
+        The layer.
+    nearer, beyond : ndarray of shape (H, W), float32
+        Changed in place.
+    """
     for row in range(begin, end):
         for col in range(variant.shape[1]):
-            hidden = np.float32(0.0)
             if variant[row, col] >= 0:
-                hidden = _share_before(layer[row, col], farther[row, col], number)
-            seen[row, col] = np.float32(1.0) - hidden
+                cover = radiance[row, col, 3] * (weight[row, col] if weight.shape[0] else np.float32(1.0))
+                nearer[row, col] += cover * _share_before(layer[row, col], farther[row, col], number)
+                beyond[row, col] -= cover * _share_before(layer[row, col], farther[row, col], number + 1)
 
 
 @kernel

@@ -7,14 +7,14 @@ import numpy as np
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _fill_kernels
-from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST
+from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
 
 LEAST_SEEN = 0.3
 """Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
 
-__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "add_layer", "is_opaque"]
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_opaque"]
 
 
 def add_layer(
@@ -25,8 +25,9 @@ def add_layer(
     The sums of a layer's splats are divided by what they would be if the layer were everywhere. That measure is, by
     ``kind``:
 
-    - `COVERAGE`: the share of the layer that was not hidden, ``seen``, blurred as the layer is; by default 1, where
-      nothing was hidden. Where a nearer layer hid part of it, the rest stands for the whole (Lee et al. 2008).
+    - `COVERAGE`: 1; nothing was hidden.
+    - `REST`: the layer's own weight, and of what that leaves of 1 the share ``seen`` that lies beyond the layer; the
+      other share was hidden by nearer ones. So what was seen stands for what was hidden beside it.
     - `COUNT`: for stochastic samples, the layer's own weight and the number ``seen`` that passed it: a sample that
       passes a layer is a hole in it (SLR section 5).
     - `LAST`: the layer's own weight; behind an opaque last layer there is nothing.

@@ -1,4 +1,4 @@
-"""Means over depth layers, and how much of each was seen, blurred as the layer is (LKS section 6.2)."""
+"""Means over depth layers, and how much each leaves to be seen, blurred as the layer is (LKS section 6.2)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
+from spreadlets.runtime.composite.sweep import sweep_blur
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.plan.layering import Membership
 
+LEAST_REST = np.float32(1e-6)
+"""Share of a pixel that is left of it by no more than rounding."""
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
 """Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
 
@@ -26,6 +29,12 @@ class Moments(NamedTuple):
     coc_squared: float
     length_squared: float
     motion: tuple[float, float]
+
+    def disc_radius(self) -> float:
+        """Radius, px, of the disc that, swept along the mean motion, blurs as the layer's PSFs do in the mean."""
+        # What differs from the mean motion blurs to all sides; for both variances see below.
+        unlike = max(self.length_squared - self.motion[0] ** 2 - self.motion[1] ** 2, 0.0)
+        return math.sqrt(self.coc_squared + unlike / 6.0)
 
     def box_half_width(self) -> int:
         """Half-width, px, of the box that blurs, applied twice, as the layer's PSFs do in the mean."""
@@ -49,12 +58,24 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
     return Moments(coc, coc_squared, length_squared, (x, y))
 
 
-def seen_share(members: Membership, number: int, moments: Moments) -> Image:
-    """Return the share of a layer that nearer ones did not hide, blurred as the layer is, shape (H, W)."""
-    seen = np.empty(members.variant.shape, np.float32)
-    for_bands(_visibility_kernels.seen_share, len(seen), *members, number, seen)
-    _blur(seen, moments, repeat=True)
-    return seen
+def share_beyond(passes: Sequence[tuple[Membership, tuple[Image, Image]]], number: int, moments: Moments) -> Image:
+    """Return how much of what a layer leaves lies beyond it, blurred as the layer is, shape (H, W).
+
+    Parameters
+    ----------
+    passes : sequence of (members, (radiance, weight))
+        All passes of a frame's pixels; their weights and alphas are the shares that they cover.
+    number : int
+    moments : Moments
+        Of the layer.
+    """
+    nearer, beyond = np.zeros((2, *passes[0][0].variant.shape), np.float32)
+    beyond += 1.0
+    for members, cover in passes:
+        for_bands(_visibility_kernels.add_cover, len(beyond), *members, *cover, number, nearer, beyond)
+    blur = moments.disc_radius(), moments.motion
+    nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), *blur) for each in (nearer, beyond))
+    return np.asarray(beyond / np.maximum(nearer + beyond, LEAST_REST), np.float32)
 
 
 def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:

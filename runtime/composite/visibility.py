@@ -1,4 +1,4 @@
-"""Visibility: how much of each depth layer nearer ones leave to be seen, of a frame and of stochastic samples."""
+"""Visibility: how much each depth layer leaves to be seen of what lies beyond, of a frame and of stochastic samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from spreadlets.arrays import Image
 from spreadlets.runtime.composite import layers
-from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN
+from spreadlets.runtime.composite.composite import COUNT, LEAST_SEEN, REST
 from spreadlets.runtime.label.pixels import Pixels, sample_pixels
 from spreadlets.runtime.plan.layering import BEHIND_ALL
 from spreadlets.runtime.plan.plan import Plan
@@ -19,25 +19,23 @@ LEAST_SAMPLES = 4.0
 """Samples that must have met a layer, or passed it, for a pixel to stand for itself."""
 
 
-class HiddenShare:
-    """How much of each layer of a frame nearer layers leave to be seen."""
+class ShareBeyond:
+    """Of what each layer leaves of the pixels of a frame, how much lies beyond it and is not hidden by nearer ones."""
 
-    kind = COVERAGE
+    kind = REST
     least = LEAST_SEEN
 
     def __init__(self, passes: Sequence[Pixels], plan: Plan) -> None:
-        # All passes are of the same pixels: they differ in their motion.
-        variant = np.max([each.variant for each in plan.members], axis=0)
-        self.members = plan.members[0]._replace(variant=variant)
-        labels = passes[0].labels
-        self.moments = layers.layer_moments([(labels, labels.path, self.members)], plan.n_layers)
+        self.passes = list(zip(plan.members, [(each.radiance, each.weight) for each in passes], strict=True))
+        self.moments = layers.layer_moments(
+            [(each.labels, each.labels.path, members) for each, members in zip(passes, plan.members, strict=True)],
+            plan.n_layers,
+        )
 
     def seen(self, number: int) -> Image | None:
-        """Return the share of a layer that was seen, or None if it was all seen."""
+        """Return the share beyond a layer of what it leaves, all blurred as the layer is."""
         moments = self.moments[number]
-        if moments is None or all(each is None for each in self.moments[:number]):
-            return None
-        return layers.seen_share(self.members, number, moments)
+        return None if moments is None else layers.share_beyond(self.passes, number, moments)
 
 
 class PassingSamples:
@@ -88,4 +86,4 @@ class PassingSamples:
         )
 
 
-View = HiddenShare | PassingSamples
+View = ShareBeyond | PassingSamples

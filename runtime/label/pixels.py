@@ -10,8 +10,8 @@ import numpy as np
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _label_kernels
-from spreadlets.runtime.label.depth_edges import split_depth_edges
 from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.samples import SampleBuffer
@@ -42,17 +42,18 @@ class Pixels(NamedTuple):
 def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
-    Pixels whose depth is a blend of two surfaces are divided between them, see `runtime.label.depth_edges`. Paths that
-    are curved (the motion before the frame's time differs from that after it) become chords of the curve through the
-    three positions, each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move:
-    drawn once for each chord they would be ghosts.
+    Pixels that show several surfaces are divided between them, see `runtime.label.surfaces`. Paths that are curved (the
+    motion before the frame's time differs from that after it) become chords of the curve through the three positions,
+    each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn once for
+    each chord they would be ghosts.
     """
+    blurred = defocus or (motion and layer.has_motion)
     passes = []
-    for surface, share in split_depth_edges(layer, camera):
+    for surface, share in split_surfaces(layer, camera) if blurred else ((layer, None),):
         straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
         for labels, weight in _along_paths(surface, camera, straight, motion and curved):
             weights = [each for each in (share, weight) if each is not None]
-            passes.append(Pixels(layer.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
+            passes.append(Pixels(surface.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
     return passes
 
 

@@ -21,18 +21,17 @@ def nearness_range(begin, end, depth, label, bounds):
 
 
 @kernel
-def assign_layers(begin, end, depth, first, scale, n_layers, softness, layer, farther):
+def assign_layers(begin, end, depth, cuts, widths, layer, farther):
     """Find the layer of each pixel, and which share of it belongs to the next one.
 
     Parameters
     ----------
     depth : ndarray of shape (H, W), float32
         Metres.
-    first, scale : float
-        Layer i holds ``(-1 / depth - first) * scale`` from i to i + 1.
-    n_layers : int
-    softness : float
-        Width of the transition around a border, in layers, from 0 (hard) to 1.
+    cuts : ndarray of shape (n,), float64
+        Of ``-1 / depth``, ascending.
+    widths : ndarray of shape (n,), float64
+        Width of the transition around each cut, up to the step to its neighbours; 0 for a hard one.
     layer : ndarray of shape (H, W), int32
         Filled.
     farther : ndarray of shape (H, W), float32
@@ -40,18 +39,14 @@ def assign_layers(begin, end, depth, first, scale, n_layers, softness, layer, fa
     """
     for row in range(begin, end):
         for col in range(depth.shape[1]):
-            place = (-1.0 / np.float64(depth[row, col]) - first) * scale
-            place = min(max(place, 0.0), np.float64(n_layers))
-            border = math.floor(place + 0.5)
-            share = 0.0
-            if softness > 0.0 and 0 < border < n_layers:
-                share = min(max((place - border) / softness + 0.5, 0.0), 1.0)
-            if 0.0 < share < 1.0:
-                layer[row, col] = int(border) - 1
-                farther[row, col] = share
-            else:
-                layer[row, col] = min(int(place), n_layers - 1)
-                farther[row, col] = 0.0
+            place = -1.0 / np.float64(depth[row, col])
+            number = np.searchsorted(cuts, place, side="right")
+            layer[row, col] = number
+            farther[row, col] = 0.0
+            for cut in range(max(number - 1, 0), min(number + 1, len(cuts))):
+                if abs(place - cuts[cut]) < 0.5 * widths[cut]:
+                    layer[row, col] = cut
+                    farther[row, col] = (place - cuts[cut]) / widths[cut] + 0.5
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Global depth layers: equal steps of parallax, hard or soft (LKS section 6.2)."""
+"""Global depth layers: between cuts that the frame asks for, or in equal steps of parallax (LKS section 6.2)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import DoubleArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import Labels
-from spreadlets.runtime.options import DEFAULT_SOFTNESS
 from spreadlets.runtime.plan import _layer_kernels
+from spreadlets.runtime.plan.cuts import best_cuts, find_steps
 
 STRAY_SHARE = 0.002
 STRAY_STRETCH = 2.0
@@ -22,8 +22,12 @@ STRAY_STRETCH = 2.0
 of a millimetre would put all else into one layer. Such pixels go to the first or the last layer."""
 RANGE_PIXELS = 1 << 16
 """About so many pixels are looked at to find them."""
+N_STEPS = 64
+"""Equal steps of parallax between whose borders the cuts are chosen."""
 
 BEHIND_ALL = 1 << 20
+
+Labelled = tuple[Labels, npt.NDArray[np.int32]]
 
 
 class Membership(NamedTuple):
@@ -46,43 +50,70 @@ class Membership(NamedTuple):
 
 @dataclass(frozen=True)
 class Layering:
-    """Layers between two depths: the i-th holds ``(-1 / depth - first) * scale`` from i to i + 1.
+    """Layers between cuts of ``-1 / depth``, ascending; a thin lens's parallax is proportional to that, as is its CoC.
 
-    A thin lens's parallax is proportional to the difference of inverse depths, so these are equal steps of CoC.
+    Attributes
+    ----------
+    cuts : tuple of float
+        One less than the layers.
+    widths : tuple of float
+        Width of the transition around each cut, 0 for a hard one.
     """
 
-    n_layers: int
-    first: float = 0.0
-    scale: float = 0.0
-    softness: float = DEFAULT_SOFTNESS
+    cuts: tuple[float, ...] = ()
+    widths: tuple[float, ...] = ()
+
+    @property
+    def n_layers(self) -> int:
+        """Number of layers, empty ones included."""
+        return len(self.cuts) + 1
 
     @classmethod
-    def of(cls, passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]], n_layers: int, softness: float) -> Layering:
-        """Divide the range of depths of some passes, each with labels and variants, into layers."""
-        if n_layers == 1:
-            return cls(1)
-        bounds = [np.empty((len(variant), 2), np.float64) for _, variant in passes]
-        for (labels, variant), found in zip(passes, bounds, strict=True):
-            for_bands(_layer_kernels.nearness_range, len(found), labels.view.depth, variant, found)
-        low, high = min(float(each[:, 0].min()) for each in bounds), max(float(each[:, 1].max()) for each in bounds)
-        if not high > low:
-            return cls(1)
-        inner = _inner_range(passes)
-        if high - low > STRAY_STRETCH * (inner[1] - inner[0]) > 0.0:
-            low, high = inner
-        return cls(n_layers, low, n_layers / (high - low), softness)
+    def equal(cls, passes: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
+        """Divide the range of depths of some passes, each with labels and variants, into equal layers."""
+        return cls._of_borders(np.linspace(*_range(passes), n_layers + 1), softness)
+
+    @classmethod
+    def fitted(cls, passes: Sequence[Labelled], most: int, softness: float) -> Layering:
+        """Cut the range of depths of some passes, at most so many layers, where surfaces meet that blur differently."""
+        low, high = _range(passes)
+        if most == 1 or not high > low:
+            return cls()
+        cuts = best_cuts(find_steps(passes, low, high, N_STEPS), most)
+        borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])
+        return cls._of_borders(borders, softness)
+
+    @classmethod
+    def _of_borders(cls, borders: DoubleArray, softness: float) -> Layering:
+        """Return layers between borders, with transitions as wide as a share of the thinner layer beside each cut."""
+        steps = np.diff(borders)
+        if not steps.all():
+            return cls()
+        return cls(tuple(borders[1:-1]), tuple(softness * np.minimum(steps[1:], steps[:-1])))
 
     def members(self, labels: Labels, variant: npt.NDArray[np.int32]) -> Membership:
         """Find the layers of each pixel."""
         layer = np.zeros(variant.shape, np.int32)
         farther = np.zeros(variant.shape, np.float32)
-        if self.n_layers > 1:
-            division = self.first, self.scale, self.n_layers, self.softness
-            for_bands(_layer_kernels.assign_layers, len(layer), labels.view.depth, *division, layer, farther)
+        if self.cuts:
+            transitions = np.array(self.cuts), np.array(self.widths)
+            for_bands(_layer_kernels.assign_layers, len(layer), labels.view.depth, *transitions, layer, farther)
         return Membership(variant, layer, farther)
 
 
-def _inner_range(passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]]) -> tuple[float, float]:
+def _range(passes: Sequence[Labelled]) -> tuple[float, float]:
+    """Return the range of ``-1 / depth`` of the drawn pixels, without a few that lie far off."""
+    bounds = [np.empty((len(variant), 2), np.float64) for _, variant in passes]
+    for (labels, variant), found in zip(passes, bounds, strict=True):
+        for_bands(_layer_kernels.nearness_range, len(found), labels.view.depth, variant, found)
+    low, high = min(float(each[:, 0].min()) for each in bounds), max(float(each[:, 1].max()) for each in bounds)
+    if not high > low:
+        return 0.0, 0.0
+    inner = _inner_range(passes)
+    return inner if high - low > STRAY_STRETCH * (inner[1] - inner[0]) > 0.0 else (low, high)
+
+
+def _inner_range(passes: Sequence[Labelled]) -> tuple[float, float]:
     """Return the range of ``-1 / depth`` without a small share of the drawn pixels at either end."""
     found = []
     for labels, variant in passes:

@@ -17,7 +17,7 @@ from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels
-from spreadlets.runtime.options import Options
+from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
 from spreadlets.runtime.plan.highlights import find_highlights
@@ -165,7 +165,9 @@ def plan_pixels(
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     labels = [each.labels for each in passes]
-    layering = Layering.of(list(zip(labels, indices, strict=True)), n_layers, options.softness)
+    divide, softness = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
+    softness = softness if options.softness is None else options.softness
+    layering = divide(list(zip(labels, indices, strict=True)), n_layers, softness)
     members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     beyond = _border_colours(passes) if border else [None] * len(passes)

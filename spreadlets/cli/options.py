@@ -88,7 +88,11 @@ def splatting_options(*, layers: str, fireflies: str) -> Callable[[Command], Com
             "--tolerance", type=float, help="Display error to trade for speed; 0 draws every pixel by itself."
         ),
         cloup.option("--layers", type=click.IntRange(min=1), help=f"Depth layers (default: {layers})."),
-        cloup.option("--softness", type=float, help="Transition between depth layers: 0 (hard) to 1 (soft, default)."),
+        cloup.option(
+            "--softness",
+            type=float,
+            help="Transition between depth layers: 0 (hard, a frame's default) to 1 (soft, that of samples).",
+        ),
         cloup.option("--firefly-clamp", type=float, metavar="FACTOR", help=fireflies),
     )
 

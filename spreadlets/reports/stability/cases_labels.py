@@ -349,14 +349,14 @@ def beside_borders(lab: Lab, layers: int) -> float:
     given="a texture seen through a pinhole, on a slanted plane",
     oracle="the texture",
     budget=0.03,
-    limit="a sharp surface that runs through soft layers mixes with its neighbours near the borders of layers, by a "
-    "fiftieth of the contrast; with --softness 0 or --layers 1 it does not",
+    limit="with --softness, a sharp surface that runs through layers mixes with its neighbours near the cuts, by a "
+    "fiftieth of the contrast",
 )
 def sharp_between(lab: Lab, layers: int) -> float:
     """Where less than 0.3 of a pixel lies in a layer, its colour there is filled."""
     colours = texture(LAYERED_SIDE, LAYERED_SIDE)
     nearness = np.broadcast_to(np.linspace(0.5, 0.1, LAYERED_SIDE), (LAYERED_SIDE, LAYERED_SIDE))
-    image = lab.render(Frame(colours, 1.0 / nearness), with_camera(f_number=1e5), layers=layers)
+    image = lab.render(Frame(colours, 1.0 / nearness), with_camera(f_number=1e5), layers=layers, softness=1.0)
     return worst(image[..., :3] - colours)
 
 

@@ -14,13 +14,13 @@ from typing import Any
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import open_database
-from spreadlets.reports.stability import cases_labels, cases_laws, cases_numbers
+from spreadlets.reports.stability import cases_edges, cases_labels, cases_laws, cases_numbers
 from spreadlets.reports.stability.lab import CASES, Case, Lab
 
 __all__ = ["CASES", "DATABASE", "Outcome", "run_case", "run_stability", "selected_cases"]
 
 DATABASE = "combined"
-SOURCES = (cases_numbers, cases_labels, cases_laws)
+SOURCES = (cases_numbers, cases_labels, cases_edges, cases_laws)
 """The modules whose cases are run: importing them registers them in `CASES`."""
 
 COLUMNS = ("case", "error", "budget", "verdict", "seconds", "input", "oracle", "note")

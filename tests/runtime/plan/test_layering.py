@@ -9,13 +9,14 @@ from scipy import ndimage
 from threads import for_thread_counts
 
 from spreadlets.api import reconstruct, synthesize
+from spreadlets.arrays import NOTHING
 from spreadlets.cli.main import cli, main
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
 from spreadlets.runtime.composite import _visibility_kernels
-from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LAST, add_layer
-from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, seen_share
+from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
+from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, share_beyond
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.plan import layering
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -63,7 +64,7 @@ def shares(depth, n_layers, softness):
     depth = np.asarray(depth, np.float32)[None]
     variant = np.zeros(depth.shape, np.int32)
     labels = labels_of(depth)
-    members = Layering.of([(labels, variant)], n_layers, softness).members(labels, variant)
+    members = Layering.equal([(labels, variant)], n_layers, softness).members(labels, variant)
     found = np.zeros((n_layers + 1, depth.size))
     np.add.at(found, (members.layer[0], np.arange(depth.size)), 1 - members.farther[0])
     np.add.at(found, (members.layer[0] + 1, np.arange(depth.size)), members.farther[0])
@@ -107,28 +108,29 @@ def test_infinite_depth_lies_in_the_last_layer():
 
 def test_one_depth_is_one_layer():
     labels, variant = labels_of(np.full((3, 4), 5.0)), np.zeros((3, 4), np.int32)
-    assert Layering.of([(labels, variant)], 6, 1.0) == Layering(1)
+    assert Layering.equal([(labels, variant)], 6, 1.0) == Layering()
 
 
 def test_pixels_that_are_not_drawn_do_not_widen_the_range():
     labels, variant = labels_of([[2.0, 4.0, 1000.0]]), np.array([[0, 0, -1]], np.int32)
-    made = Layering.of([(labels, variant)], 4, 1.0)
-    assert made.first == pytest.approx(-0.5) and made.scale == pytest.approx(4 / 0.25)
+    made = Layering.equal([(labels, variant)], 4, 1.0)
+    assert made.cuts == pytest.approx((-7 / 16, -6 / 16, -5 / 16)) and made.widths == pytest.approx([1 / 16] * 3)
 
 
 def test_a_stray_depth_does_not_widen_the_range_but_a_small_object_does():
     depth = 1 / np.linspace(0.25, 0.1, 10_000).reshape(100, 100)
     variant = np.zeros(depth.shape, np.int32)
-    usual = Layering.of([(labels_of(depth), variant)], 4, 1.0)
+    usual = Layering.equal([(labels_of(depth), variant)], 4, 1.0)
     depth[50, 50:60] = 1e-6
-    stray = Layering.of([(labels_of(depth), variant)], 4, 1.0)
-    assert stray.first == pytest.approx(usual.first, abs=1e-3) and stray.scale == pytest.approx(usual.scale, rel=0.01)
+    stray = Layering.equal([(labels_of(depth), variant)], 4, 1.0)
+    assert stray.cuts == pytest.approx(usual.cuts, abs=1e-3) and stray.widths == pytest.approx(usual.widths, rel=0.01)
     assert stray.members(labels_of(depth), variant).layer[50, 55] == 0
     depth[50, 50:80] = 1e-6
-    assert Layering.of([(labels_of(depth), variant)], 4, 1.0).first == pytest.approx(-1e6)
+    assert Layering.equal([(labels_of(depth), variant)], 4, 1.0).cuts[0] == pytest.approx(-0.75e6)
     depth[50, 50:80] = 4.0
     depth[50, 50] = 1 / 0.3
-    assert Layering.of([(labels_of(depth), variant)], 4, 1.0).first == pytest.approx(-0.3), "close enough to count"
+    near = Layering.equal([(labels_of(depth), variant)], 4, 1.0)
+    assert near.cuts[0] == pytest.approx(-0.3 + 0.05), "close enough to count"
 
 
 # --- the blur that shares and counts get
@@ -169,24 +171,32 @@ def test_moments_are_weighted_means_and_empty_layers_have_none():
 SHARP = Moments(0.0, 0.0, 0.0, (0.0, 0.0))
 
 
+def beyond(members, number, moments=SHARP, alpha=1.0, weight=NOTHING):
+    radiance = np.full((*members.layer.shape, 4), alpha, np.float32)
+    return share_beyond([(members, (radiance, weight))], number, moments)
+
+
 @pytest.mark.interpreted
-def test_what_nearer_layers_hold_is_not_seen_of_a_farther_one():
+def test_of_what_a_layer_leaves_the_part_that_nearer_ones_do_not_hide_lies_beyond():
     members = Membership(
         np.array([[0, 0, 0, -1]], np.int32), np.array([[0, 1, 1, 0]], np.int32), np.float32([[0.25, 0.5, 0, 0]])
     )
-    assert np.allclose(seen_share(members, 0, SHARP), 1)
-    assert np.allclose(seen_share(members, 1, SHARP), [[0.25, 1, 1, 1]])
-    assert np.allclose(seen_share(members, 2, SHARP), [[0, 0.5, 0, 1]])
+    assert np.allclose(beyond(members, 0), [[1, 1, 1, 1]]), "nothing lies before the first layer"
+    assert np.allclose(beyond(members, 1), [[0, 1, 0, 1]]), "a pixel that is wholly in the layer leaves nothing"
+    assert np.allclose(beyond(members, 2), [[0, 0, 0, 1]])
+    assert np.allclose(beyond(members, 2, alpha=0.5), [[0.5, 2 / 3, 0.5, 1]])
+    half = np.full((1, 4), 0.5, np.float32)
+    assert np.allclose(beyond(members, 2, weight=half), beyond(members, 2, alpha=0.5))
 
 
-def test_the_seen_share_is_blurred_as_the_layer_is():
-    layer = np.ones((21, 21), np.int32)
-    layer[10, 10] = 0
-    moments = Moments(4.0, 16.0, 0.0, (0.0, 0.0))
-    hidden = 1 - seen_share(members_of(layer), 1, moments)
-    rows, cols = np.indices(hidden.shape) - 10
+def test_the_share_beyond_is_blurred_as_the_layer_is():
+    layer = np.full((41, 41), 2, np.int32)
+    layer[20, 20] = 0
+    share = beyond(members_of(layer), 1, Moments(6.0, 36.0, 0.0, (0.0, 0.0)))
+    rows, cols = np.indices(share.shape) - 20
+    hidden = 1 - share
     assert hidden.sum() == pytest.approx(1.0, rel=1e-4)
-    assert (hidden * rows**2).sum() == pytest.approx((hidden * cols**2).sum()) == pytest.approx(4.0, rel=0.4)
+    assert ((hidden > 0) == (rows**2 + cols**2 <= 36)).all()
 
 
 @pytest.mark.interpreted
@@ -230,7 +240,7 @@ def behind_hole(colour, seen):
     """Put sums of a layer of a colour (H, W, 3), of which a share was seen, behind nothing."""
     sums = np.concatenate([colour * seen[..., None], seen[..., None]], axis=2).astype(np.float32)
     image = np.zeros((*seen.shape, 4), np.float32)
-    add_layer(image, sums, (0, 0), COVERAGE, seen=seen.astype(np.float32))
+    add_layer(image, sums, (0, 0), REST, seen=np.zeros_like(sums[..., 3]))
     return image
 
 
@@ -333,17 +343,17 @@ def test_a_slanted_plane_shows_no_seams(small_combined, softness, most):
     frame = Frame(ndimage.gaussian_filter(texture, (2, 2, 0), mode="wrap") * 2, slant)
     plain = synthesize(frame, CAMERA, small_combined, layers=1)
     divided = synthesize(frame, CAMERA, small_combined, layers=6, softness=softness)
-    assert 0 < np.abs(divided - plain).max() < most
+    assert np.abs(divided - plain).max() < most
 
 
 def test_softness_and_number_of_layers_change_the_image(small_combined):
-    slant = np.repeat(depth_of(np.linspace(-8, 8, SIZE))[:, None], SIZE, axis=1)
-    frame = Frame(np.random.default_rng(0).random((SIZE, SIZE, 3)), slant)
+    blocks = np.kron(np.random.default_rng(0).uniform(-8, 8, (8, 8)), np.ones((8, 8)))
+    frame = Frame(np.random.default_rng(0).random((SIZE, SIZE, 3)), depth_of(blocks))
     images = [
         synthesize(frame, CAMERA, small_combined, layers=count, softness=softness)
         for count, softness in ((4, 1.0), (4, 0.0), (3, 1.0))
     ]
-    assert np.array_equal(images[0], synthesize(frame, CAMERA, small_combined)), "4 soft layers are the default"
+    assert np.array_equal(images[1], synthesize(frame, CAMERA, small_combined, layers=4)), "hard layers are the default"
     assert all(np.abs(each - images[0]).max() > 1e-3 for each in images[1:])
 
 

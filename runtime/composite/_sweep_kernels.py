@@ -1,0 +1,82 @@
+"""Compiled kernels of the blur by a swept disc."""
+
+import numpy as np
+
+from spreadlets.compiled import kernel
+
+
+@kernel
+def sum_rows(begin, end, image, sums):
+    """Fill ``sums`` (H, W + 1), float64, with the sums of the pixels before each of a row."""
+    for row in range(begin, end):
+        sums[row, 0] = 0.0
+        for col in range(image.shape[1]):
+            sums[row, col + 1] = sums[row, col] + image[row, col]
+
+
+@kernel
+def sum_spans(begin, end, sums, first, last, mean):
+    """Fill ``mean`` (H, W), float32, with the mean of the spans around each pixel, one for each row around it.
+
+    Parameters
+    ----------
+    sums : ndarray of shape (H, W + 1), float64
+        See `sum_rows`. Beyond the border the nearest pixels repeat.
+    first, last : ndarray of shape (2 n + 1,), int64
+        Columns of the spans' ends, relative to the pixel's.
+    mean : ndarray of shape (H, W), float32
+    """
+    height, width = mean.shape
+    n = len(first) // 2
+    scale = 1.0 / (last - first + 1).sum()
+    total = np.empty(width)
+    for row in range(begin, end):
+        total[:] = 0.0
+        for each in range(len(first)):
+            line = sums[min(max(row + each - n, 0), height - 1)]
+            left, right = first[each], last[each] + 1
+            before, behind = line[1], line[width] - line[width - 1]
+            inner_begin, inner_end = max(0, -left), max(max(0, -left), width - max(right, 0))
+            for col in range(inner_begin, inner_end):
+                total[col] += line[col + right] - line[col + left]
+            for col in range(width):
+                if inner_begin <= col < inner_end:
+                    continue
+                low, high = col + left, col + right
+                total[col] += line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
+                total[col] += before * (max(-low, 0) - max(-high, 0)) + behind * (
+                    max(high - width, 0) - max(low - width, 0)
+                )
+        for col in range(width):
+            mean[row, col] = total[col] * scale
+
+
+@kernel
+def shrink(begin, end, image, factor, small):
+    """Fill ``small`` with the means of blocks of ``factor`` x ``factor`` pixels."""
+    height, width = image.shape
+    for row in range(begin, end):
+        for col in range(small.shape[1]):
+            total, count = 0.0, 0
+            for i in range(row * factor, min((row + 1) * factor, height)):
+                for j in range(col * factor, min((col + 1) * factor, width)):
+                    total += image[i, j]
+                    count += 1
+            small[row, col] = total / count
+
+
+@kernel
+def enlarge(begin, end, small, factor, image):
+    """Fill ``image`` with ``small``, the means of blocks of ``factor`` x ``factor`` pixels, interpolated linearly."""
+    height, width = small.shape
+    for row in range(begin, end):
+        y = min(max((row + 0.5) / factor - 0.5, 0.0), height - 1.0)
+        i = min(int(y), height - 1)
+        below, down = min(i + 1, height - 1), y - i
+        for col in range(image.shape[1]):
+            x = min(max((col + 0.5) / factor - 0.5, 0.0), width - 1.0)
+            j = min(int(x), width - 1)
+            right, across = min(j + 1, width - 1), x - j
+            upper = small[i, j] + across * (small[i, right] - small[i, j])
+            lower = small[below, j] + across * (small[below, right] - small[below, j])
+            image[row, col] = upper + down * (lower - upper)

@@ -1,0 +1,117 @@
+"""Compiled kernels that tell filtered depth from point samples, and undo the filter."""
+
+import math
+
+from spreadlets.compiled import helper, kernel
+
+REACH = 2
+"""A blend's surfaces are looked for within this, px: filters are up to 3 px wide."""
+FLATNESS = 0.2
+"""Largest difference of places on one surface, as a share of the gap between two."""
+SMOOTHNESS = 0.05
+"""The same for pixels that are taken for no blend: those of a blend's neighbours along an edge may be as close."""
+PURITY = 0.98
+"""Share of a surface from which a pixel's depth is that of the surface."""
+
+
+@helper
+def _edge_kind(line, start, gap):
+    """Return 1 if an edge jumps right behind a place of a line, 2 if it passes through one to three others, else 0."""
+    first = line[start]
+    for step in range(1, min(5, len(line) - 1 - start)):
+        here = line[start + step]
+        rise = here - first
+        if rise * (here - line[start + step - 1]) <= 0.0:
+            return 0
+        flat = FLATNESS * abs(rise)
+        if abs(rise) >= gap and abs(first - line[start - 1]) <= flat and abs(line[start + step + 1] - here) <= flat:
+            return 1 if step == 1 else 2
+    return 0
+
+
+@kernel
+def count_edges(begin, end, place, gap, counts):
+    """Count the edges along each row that jump from one pixel to the next, and those that pass through others.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    gap : float
+        Least height of an edge.
+    counts : ndarray of shape (H, 2), int64
+        Filled; both sides of each edge are flat.
+    """
+    for row in range(begin, end):
+        counts[row, 0] = counts[row, 1] = 0
+        for col in range(1, place.shape[1] - 2):
+            kind = _edge_kind(place[row], col, gap)
+            if kind:
+                counts[row, kind - 1] += 1
+
+
+@helper
+def _are_close(depth, place, one, other, most):
+    """Return whether two pixels are of one surface: neither depth nor place differs by more than ``most``."""
+    if abs(place[one] - place[other]) > most[1]:
+        return False
+    return depth[one] == depth[other] or abs(depth[one] - depth[other]) <= most[0]
+
+
+@helper
+def _lies_on_surface(depth, place, alpha, row, col, most):
+    """Return whether a pixel is, or lies beside, one of its depth that is amid others of this depth."""
+    height, width = place.shape
+    for i in range(max(row - 1, 0), min(row + 2, height)):
+        for j in range(max(col - 1, 0), min(col + 2, width)):
+            amid = alpha[i, j] > 0.0 and _are_close(depth, place, (row, col), (i, j), most)
+            for k in range(max(i - 1, 0), min(i + 2, height)):
+                for m in range(max(j - 1, 0), min(j + 2, width)):
+                    amid = amid and _are_close(depth, place, (i, j), (k, m), most)
+            if amid:
+                return True
+    return False
+
+
+@kernel
+def undo_filter(begin, end, depth, place, alpha, gap, source, share):
+    """Find the pixels whose depth is a blend of two surfaces', and the nearest or farthest pixel that it is more of.
+
+    Parameters
+    ----------
+    depth, place : ndarray of shape (H, W), float32
+        Metres; CoC radii, px.
+    alpha : ndarray of shape (H, W), float32
+        Where it is 0, there is no surface.
+    gap : float
+        Least difference of the surfaces' places.
+    source : ndarray of shape (H, W, 2), int32
+        Filled with row and column of a pixel that has the label of the greater share; else those of the pixel itself.
+    share : ndarray of shape (H, W), float32
+        Filled with the share of the nearer surface, -1 where the pixel is no blend of two.
+    """
+    height, width = depth.shape
+    for row in range(begin, end):
+        for col in range(width):
+            source[row, col, 0], source[row, col, 1] = row, col
+            share[row, col] = -1.0
+            if alpha[row, col] == 0.0:
+                continue
+            near, far = (row, col), (row, col)
+            for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+                for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+                    near = (i, j) if depth[i, j] < depth[near] else near
+                    far = (i, j) if depth[i, j] > depth[far] else far
+            step = place[far] - place[near]
+            if step < gap or place[row, col] - place[near] <= (1.0 - PURITY) * step:
+                continue
+            rise = depth[far] - depth[near]
+            part = 0.0 if math.isinf(rise) else (depth[row, col] - depth[near]) / rise
+            if part >= PURITY or math.isinf(depth[row, col]):
+                continue
+            if _lies_on_surface(depth, place, alpha, row, col, (SMOOTHNESS * rise, SMOOTHNESS * step)):
+                continue
+            whole = alpha[far] == 0.0 or alpha[near] == 0.0
+            chosen = near if (part < 0.5 and not whole) or alpha[far] == 0.0 else far
+            source[row, col, 0], source[row, col, 1] = chosen
+            share[row, col] = -1.0 if whole else 1.0 - part

@@ -1,0 +1,348 @@
+"""Compiled kernels that explain mixed pixels by the surfaces around them."""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+
+REACH = 2
+"""Surfaces whose pixels lie no farther than this, px, may be seen in a pixel: filters are up to 3 px wide."""
+COLOUR_REACH = 3
+"""A surface's colour is taken from its pixels within this, px."""
+MOST = 3
+"""Surfaces of a pixel."""
+PURITY_POWER = 8
+"""How much the purer of a surface's pixels count: one that is a fifth of another surface counts a sixth."""
+ALONG = 2.0
+"""Deviation, px, along a straight edge of the mean that tells how a surface covers a pixel."""
+ACROSS = 0.6
+"""The same where there is no direction: at corners and dots."""
+TRUST_NEAR, TRUST_FAR = 0.15, 0.05
+"""Deviations of the coverage that is found by that mean: within a pixel of the surface, and farther from it."""
+TRUST_DEPTH = 0.02
+"""Deviation of a coverage that filtered depth tells."""
+LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
+"""Deviation of a surface's colour: at least so much, and so much of itself."""
+LAMP_RATIO = 4.0
+"""How many times as bright as usual a surface's pixel may be before it is taken to show something else."""
+NEGLIGIBLE = 0.002
+"""A coverage, and a brightness, that no display shows."""
+
+
+@kernel
+def find_purity(begin, end, place, gap, purity):
+    """Fill ``purity`` (H, W), float32, with the share of each pixel's filter that its own surface fills, about.
+
+    Pixels whose ``place`` (H, W), float32, differs by less than ``gap`` are of one surface.
+    """
+    height, width = place.shape
+    for row in range(begin, end):
+        for col in range(width):
+            here, total, own = place[row, col], 0.0, 0.0
+            for i in range(max(row - 1, 0), min(row + 2, height)):
+                for j in range(max(col - 1, 0), min(col + 2, width)):
+                    # The weights of a filter 3 px wide, as most renderers have it: 0.8 and 0.1 along each axis.
+                    weight = (0.8 if i == row else 0.1) * (0.8 if j == col else 0.1)
+                    total += weight
+                    own += weight if abs(place[i, j] - here) < gap else 0.0
+            purity[row, col] = own / total
+
+
+@helper
+def _surfaces_around(place, row, col, gap, spare, bounds):
+    """Fill ``bounds`` (MOST, 2) with the least and largest places of the surfaces around a pixel; return their number.
+
+    Places in the window with no gap between them are of one surface. The first is the pixel's own, the others are
+    those that have most of the window, nearer pixels counting more.
+    """
+    height, width = place.shape
+    values, weights = spare
+    n = 0
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+            each, k = place[i, j], n
+            if each == math.inf:
+                continue
+            weight = math.exp(-0.5 * ((i - row) ** 2 + (j - col) ** 2))
+            # Sort by insertion.
+            while k > 0 and values[k - 1] > each:
+                values[k], weights[k] = values[k - 1], weights[k - 1]
+                k -= 1
+            values[k], weights[k] = each, weight
+            n += 1
+    for s in range(MOST):
+        bounds[s, 0], bounds[s, 1] = math.inf, -math.inf
+    best = np.zeros(MOST)
+    first, weight = 0, 0.0
+    for k in range(n):
+        weight += weights[k]
+        if k + 1 < n and values[k + 1] - values[k] < gap:
+            continue
+        score = math.inf if values[first] <= place[row, col] <= values[k] else weight
+        low, high = values[first], values[k]
+        for s in range(MOST):
+            if score > best[s]:
+                score, best[s] = best[s], score
+                low, bounds[s, 0] = bounds[s, 0], low
+                high, bounds[s, 1] = bounds[s, 1], high
+        first, weight = k + 1, 0.0
+    return int((best > 0.0).sum())
+
+
+@helper
+def _edge_share(place, row, col, low, high, inside):
+    """Return how much of a pixel the places from ``low`` to ``high`` cover, by their mean along the edge.
+
+    Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
+    filter about 2 px wide shows it. The direction is that of the least change around the pixel (structure tensor).
+    """
+    height, width = place.shape
+    side = inside.shape[0]
+    half = side // 2
+    for i in range(side):
+        for j in range(side):
+            each = place[min(max(row + i - half, 0), height - 1), min(max(col + j - half, 0), width - 1)]
+            inside[i, j] = 1.0 if low <= each <= high else 0.0
+    xx = yy = xy = 0.0
+    for i in range(half - 2, half + 3):
+        for j in range(half - 2, half + 3):
+            right = inside[i - 1, j + 1] + 2.0 * inside[i, j + 1] + inside[i + 1, j + 1]
+            left = inside[i - 1, j - 1] + 2.0 * inside[i, j - 1] + inside[i + 1, j - 1]
+            below = inside[i + 1, j - 1] + 2.0 * inside[i + 1, j] + inside[i + 1, j + 1]
+            above = inside[i - 1, j - 1] + 2.0 * inside[i - 1, j] + inside[i - 1, j + 1]
+            weight = math.exp(-0.25 * ((i - half) ** 2 + (j - half) ** 2))
+            xx += weight * (right - left) ** 2
+            yy += weight * (below - above) ** 2
+            xy += weight * (right - left) * (below - above)
+    if xx + yy == 0.0:
+        return inside[half, half]
+    coherence = math.hypot(xx - yy, 2.0 * xy) / (xx + yy)
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
+    step_row, step_col = math.sin(angle), math.cos(angle)
+    deviation = ALONG * coherence**2 + ACROSS
+    total = share = 0.0
+    for step in range(1 - half, half):
+        weight = math.exp(-0.5 * (step / deviation) ** 2)
+        y, x = half + step * step_row, half + step * step_col
+        i, j = int(y), int(x)
+        down, across = y - i, x - j
+        upper = inside[i, j] + across * (inside[i, j + 1] - inside[i, j])
+        lower = inside[i + 1, j] + across * (inside[i + 1, j + 1] - inside[i + 1, j])
+        total += weight
+        share += weight * (upper + down * (lower - upper))
+    return share / total
+
+
+@helper
+def _brightness(colour):
+    """Return the brightest channel of a colour."""
+    return np.float64(max(colour[0], colour[1], colour[2]))
+
+
+@helper
+def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
+    """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns.
+
+    Next to a lamp, the lamp's light in a surface's pixels may be far more than their own. So those that are many times
+    brighter than the geometric mean of the surface's pixels count little.
+    """
+    height, width = place.shape
+    sums[:] = 0.0
+    for part in range(2):
+        for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
+            for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
+                for s in range(count):
+                    if not bounds[s, 0] <= place[i, j] <= bounds[s, 1]:
+                        continue
+                    near = 1.0 / (1.0 + 0.25 * ((i - row) ** 2 + (j - col) ** 2))
+                    weight = near * np.float64(purity[i, j]) ** PURITY_POWER
+                    light = _brightness(radiance[i, j])
+                    if part == 0:
+                        sums[s, 11] += weight
+                        sums[s, 12] += weight * math.log(light + NEGLIGIBLE)
+                        continue
+                    usual = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
+                    weight /= 1.0 + max(light / usual - 1.0, 0.0) ** 2
+                    sums[s, 0] += weight
+                    sums[s, 1] += near
+                    sums[s, 2] += weight * purity[i, j]
+                    for c in range(4):
+                        value = np.float64(radiance[i, j, c])
+                        sums[s, 3 + c] += weight * value
+                        sums[s, 7 + c] += weight * value * value
+
+
+@helper
+def _colour_models(count, sums, mean, variance):
+    """Fill mean and variance (MOST, 4) of each surface's colour from sums over its pixels.
+
+    Columns of ``sums``: weight, weight by distance alone, purity, colours, their squares; two are of the first sum.
+    What is impure of the pixels shows the other surfaces; their mean is taken out.
+    """
+    for s in range(count):
+        share = sums[s, 2] / sums[s, 0]
+        for c in range(4):
+            own = sums[s, 3 + c] / sums[s, 0]
+            spread = max(sums[s, 7 + c] / sums[s, 0] - own * own, 0.0)
+            weight = other = square = 0.0
+            for t in range(count):
+                if t != s:
+                    value = sums[t, 3 + c] / sums[t, 0]
+                    weight += sums[t, 1]
+                    other += sums[t, 1] * value
+                    square += sums[t, 1] * sums[t, 7 + c] / sums[t, 0]
+            other /= weight
+            square = max(square / weight - other * other, 0.0)
+            mean[s, c] = max((own - (1.0 - share) * other) / share, 0.0)
+            noise = LEAST_NOISE + COLOUR_NOISE * mean[s, c]
+            variance[s, c] = max(spread - (1.0 - share) ** 2 * square, 0.0) / share**2 + noise**2
+        mean[s, 3] = min(mean[s, 3], 1.0)
+
+
+@helper
+def _fit_shares(colour, mean, variance, trust, count, share):
+    """Change the surfaces' shares of a pixel, from a first guess, to those that its colour makes most likely.
+
+    Colours are Gaussian with the given mean and variance, shares with the guess and deviations ``trust``, and sum to 1.
+    """
+    xx = 1.0 / trust[1] ** 2
+    yy, xy, x, y = 1.0 / trust[2] ** 2, 0.0, 0.0, 0.0
+    for c in range(4):
+        missing, noise = np.float64(colour[c]), 1e-8
+        for s in range(count):
+            missing -= share[s] * mean[s, c]
+            noise += share[s] ** 2 * variance[s, c]
+        first = mean[1, c] - mean[0, c]
+        xx, x = xx + first * first / noise, x + first * missing / noise
+        if count == 3:
+            second = mean[2, c] - mean[0, c]
+            yy, y = yy + second * second / noise, y + second * missing / noise
+            xy += first * second / noise
+    determinant = xx * yy - xy * xy
+    more, most = (x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant
+    share[0] -= more + most
+    share[1] += more
+    share[2] += most
+    total = 0.0
+    for s in range(count):
+        bright = max(mean[s, 0], mean[s, 1], mean[s, 2], 1.0)
+        share[s] = min(max(share[s], 0.0), 1.0) if share[s] * bright >= NEGLIGIBLE else 0.0
+        total += share[s]
+    for s in range(count):
+        share[s] /= total
+
+
+@helper
+def _divide(colour, mean, variance, share, count, colours):
+    """Fill the likeliest colours (MOST, 4) of a pixel's surfaces that add up to the pixel's; none is below 0."""
+    for c in range(4):
+        missing, noise = np.float64(colour[c]), 1e-12
+        for s in range(count):
+            missing -= share[s] * mean[s, c]
+            noise += share[s] ** 2 * variance[s, c]
+        short = whole = 0.0
+        for s in range(count):
+            value = mean[s, c] + missing * share[s] * variance[s, c] / noise
+            short -= share[s] * min(value, 0.0)
+            whole += share[s] * max(value, 0.0)
+            colours[s, c] = max(value, 0.0)
+        for s in range(count):
+            colours[s, c] *= max(1.0 - short / whole, 0.0) if whole > 0.0 else 1.0
+
+
+@helper
+def _find_sources(place, purity, row, col, bounds, count, source, trust):
+    """Fill row and column of the nearest pixel of each surface, of two the purer; and how far to trust its share."""
+    height, width = place.shape
+    for s in range(count):
+        nearest = math.inf
+        for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+            for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+                distance = (i - row) ** 2 + (j - col) ** 2 - 0.5 * purity[i, j]
+                if bounds[s, 0] <= place[i, j] <= bounds[s, 1] and distance < nearest:
+                    nearest = distance
+                    source[s, 0], source[s, 1] = i, j
+        trust[s] = TRUST_NEAR if nearest < 2.0 else TRUST_FAR
+
+
+@helper
+def _is_mixed(place, row, col, gap):
+    """Return whether the places around a pixel differ by the gap."""
+    height, width = place.shape
+    low = high = place[row, col]
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+            each = place[i, j]
+            if each < low:
+                low = each
+            elif each > high and each != math.inf:
+                high = each
+    return high - low >= gap
+
+
+@kernel
+def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share, colours):
+    """Explain each pixel by up to `MOST` surfaces around it, its own first.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px; infinite where there is nothing.
+    radiance : ndarray of shape (H, W, 4), float32
+    purity : ndarray of shape (H, W), float32
+        See `find_purity`.
+    known : ndarray of shape (H, W), float32
+        Share of the nearer of two surfaces where the depth tells it, else -1.
+    gap : float
+        Difference of places that parts two surfaces.
+    source : ndarray of shape (H, W, MOST, 2), int32
+        Filled with row and column of a pixel that has the surface's label; those of the pixel itself where it has none.
+    share : ndarray of shape (H, W, MOST), float32
+        Filled with the coverages, which sum to 1.
+    colours : ndarray of shape (H, W, MOST, 4), float32
+        Filled with the surfaces' colours; those of the pixel where it has no such surface.
+
+    Returns
+    -------
+    int
+        Number of pixels with more than one surface.
+    """
+    window = (2 * REACH + 1) ** 2
+    spare, inside, bounds = (np.empty(window), np.empty(window)), np.empty((13, 13)), np.empty((MOST, 2))
+    sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
+    each, trust = np.empty(MOST), np.ones(MOST)
+    mixed = 0
+    for row in range(begin, end):
+        for col in range(place.shape[1]):
+            for s in range(MOST):
+                source[row, col, s, 0], source[row, col, s, 1] = row, col
+                share[row, col, s] = 1.0 if s == 0 else 0.0
+                colours[row, col, s] = radiance[row, col]
+            if place[row, col] == math.inf or not _is_mixed(place, row, col, gap):
+                continue
+            count = _surfaces_around(place, row, col, gap, spare, bounds)
+            if count < 2:
+                continue
+            each[:] = 0.0
+            total = 0.0
+            for s in range(count):
+                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], inside)
+                total += each[s]
+            each /= total
+            _find_sources(place, purity, row, col, bounds, count, source[row, col], trust)
+            if count == 2 and known[row, col] >= 0.0:
+                nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
+                each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
+                trust[1] = TRUST_DEPTH
+            _add_colours(place, radiance, purity, row, col, bounds, count, sums)
+            _colour_models(count, sums, mean, variance)
+            _fit_shares(radiance[row, col], mean, variance, trust, count, each)
+            if each[0] == 1.0:
+                continue
+            mixed += 1
+            for s in range(count):
+                share[row, col, s] = each[s]
+            _divide(radiance[row, col], mean, variance, each, count, colours[row, col])
+            source[row, col, 0, 0], source[row, col, 0, 1] = row, col
+    return mixed

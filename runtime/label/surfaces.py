@@ -1,0 +1,123 @@
+"""Mixed pixels: where surfaces of several depths show in one pixel, each gets its share, its colour and its labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
+from spreadlets.parallel import for_bands
+from spreadlets.runtime.label import _blend_kernels, _label_kernels, _surface_kernels
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Layer
+
+LEAST_GAP = 1.0
+"""Difference of CoC radii, px, from which two surfaces are worth telling apart."""
+
+
+def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Image | None]]:
+    """Yield layers that each hold one surface of every pixel, with its share of the pixel.
+
+    Colours are filtered: a pixel at an edge, or with a thin thing in it, shows several surfaces, while it has one depth
+    and one motion. Shares and colours of the surfaces are those most likely, given the colours of purer pixels around,
+    and how point samples of the depth are spread along the edge. They add up to the pixel's colour.
+
+    Parameters
+    ----------
+    layer : Layer
+    camera : ThinLens
+        Depths are compared by their CoC.
+
+    Yields
+    ------
+    layer : Layer
+        The layer itself, if no pixel is mixed; else first each pixel's own surface, then others.
+    share : ndarray of shape (H, W), float32, or None
+        Weight of each pixel; None if all are 1.
+
+    Notes
+    -----
+    Bayesian matting (Chuang et al. 2001) in closed form, for up to three surfaces, whose depths are known.
+    """
+    height, width = layer.shape
+    place, known = _places(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    if depth_is_filtered(place):
+        layer, known = without_filter(layer, place)
+        place = _places(layer, camera)
+    place[layer.radiance[..., 3] == 0.0] = np.inf
+    purity = np.empty_like(place)
+    for_bands(_surface_kernels.find_purity, height, place, LEAST_GAP, purity)
+    source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
+    share = np.empty((height, width, _surface_kernels.MOST), np.float32)
+    colours = np.empty((height, width, _surface_kernels.MOST, 4), np.float32)
+    given = place, layer.radiance, purity, known, LEAST_GAP
+    if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
+        yield layer, None
+        return
+    for number in range(_surface_kernels.MOST):
+        weight = np.ascontiguousarray(share[:, :, number])
+        if weight.any():
+            yield _surface(layer, np.ascontiguousarray(colours[:, :, number]), source[:, :, number]), weight
+
+
+def _places(layer: Layer, camera: ThinLens) -> Image:
+    """Return where surfaces lie in depth, as CoC radii, px."""
+    place = np.empty(layer.shape, np.float32)
+    optics = camera.coc_scale(layer.shape[1]), 1.0 / camera.focus_distance_m
+    for_bands(_label_kernels.coc_radii, len(place), layer.depth, *optics, place)
+    return place
+
+
+def depth_is_filtered(place: Image) -> bool:
+    """Guess whether depths are filtered as colours are: then most edges pass through depths between two surfaces'.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    """
+    total = np.zeros(2, np.int64)
+    for each in (place, np.ascontiguousarray(place.T)):
+        counts = np.zeros((len(each), 2), np.int64)
+        for_bands(_blend_kernels.count_edges, len(each), each, LEAST_GAP, counts)
+        total += counts.sum(axis=0)
+    return bool(total[1] > total[0])
+
+
+def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
+    """Return a layer whose labels are those of one surface each, not blends, and what the blends tell of the shares.
+
+    Parameters
+    ----------
+    layer : Layer
+        Its depth is filtered.
+    place : ndarray of shape (H, W), float32
+        Its depths as CoC radii, px.
+
+    Returns
+    -------
+    layer : Layer
+    share : ndarray of shape (H, W), float32
+        Of the nearer of a pixel's two surfaces, -1 where the pixel is no blend.
+    """
+    source, share = np.empty((*layer.shape, 2), np.int32), np.empty(layer.shape, np.float32)
+    alpha = np.ascontiguousarray(layer.radiance[..., 3])
+    for_bands(_blend_kernels.undo_filter, len(place), layer.depth, place, alpha, LEAST_GAP, source, share)
+    return _surface(layer, layer.radiance, source), share
+
+
+def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:
+    """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
+    place = source[..., 0], source[..., 1]
+    before, after = layer.motion_prev, layer.motion_next
+    return replace(
+        layer,
+        radiance=colours,
+        depth=layer.depth[place],
+        motion=layer.motion[place],
+        motion_prev=None if before is None else before[place],
+        motion_next=None if after is None else after[place],
+    )

@@ -1,0 +1,162 @@
+"""Cuts between depth layers: where surfaces meet that blur differently."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import BoolArray, DoubleArray, IntArray
+from spreadlets.runtime.label.labels import Labels
+
+DISTANCES = (1, 2, 4, 8)
+"""Pixels so far apart, px, are taken to meet: at edges, across thin things, and where wide blurs overlap."""
+MEETING_PIXELS = 1 << 17
+"""About so many pixels are looked at."""
+LEAST_GAIN = 0.002
+"""Mean harm, px of blur for each pair of pixels, that a further layer must spare: it costs a pass over its canvas."""
+SEAM_PRICE = 1.0
+"""Harm, px, of a cut through a surface, for each pair of neighbours that it parts: each hides a little of the other."""
+
+NOWHERE = -2.0
+"""Step of a pixel that is not drawn: more than a step from all others."""
+PATH_RADIUS = 1.0 / math.sqrt(6.0)
+"""Radius of the disc that, in the mean over both axes, has the variance of a path of length 1."""
+
+
+class Steps(NamedTuple):
+    """What lies in equal steps of depth, and what meets.
+
+    Attributes
+    ----------
+    filled : ndarray of shape (n,), bool
+        Whether there is a pixel in each.
+    meetings : ndarray of shape (n, n), float64
+        Share of the pairs of pixels that lie in two steps, (nearer, farther); 0 where both are the same.
+    seams : ndarray of shape (n + 1,), float64
+        The same of the pairs of neighbours on one surface that each border of steps parts.
+    coc : ndarray of shape (n,), float64
+        Mean CoC radius of each step, px; 0 where it is empty.
+    path : ndarray of shape (n, 2), float64
+        Mean path, px.
+    """
+
+    filled: BoolArray
+    meetings: DoubleArray
+    seams: DoubleArray
+    coc: DoubleArray
+    path: DoubleArray
+
+
+def find_steps(passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]], low: float, high: float, n_steps: int) -> Steps:
+    """Count which steps of depth meet in some passes of pixels.
+
+    Parameters
+    ----------
+    passes : sequence of (labels, variant)
+        Variants, (H, W), are negative where nothing is drawn.
+    low, high : float
+        Range of ``-1 / depth`` that the steps divide; what lies beyond is in the first or the last.
+    n_steps : int
+    """
+    sums, meetings = np.zeros((4, n_steps)), np.zeros(n_steps * n_steps)
+    seams = np.zeros(n_steps + 1)
+    stride = max(1, math.isqrt(passes[0][1].size // MEETING_PIXELS))
+    places = []
+    for labels, variant in passes:
+        position = (-1.0 / labels.view.depth[::stride].astype(np.float64) - low) * (n_steps / (high - low))
+        drawn = variant[::stride] >= 0
+        position = np.where(drawn, np.clip(position, 0.0, n_steps - 0.5), NOWHERE)
+        places.append(np.where(drawn, position, -1.0).astype(np.int64))
+        values = np.ones_like(labels.coc), labels.coc, labels.path[..., 0], labels.path[..., 1]
+        sums += [np.bincount(places[-1][drawn], each[::stride][drawn], n_steps) for each in values]
+        for distance in DISTANCES:
+            _add_meetings(places[-1][:, distance:], places[-1][:, :-distance], meetings)
+        _add_seams(position[:, 1:], position[:, :-1], seams)
+    for first, second in combinations(places, 2):
+        _add_meetings(first, second, meetings)
+    n_pairs = max(len(DISTANCES) * sums[0].sum(), 1.0)
+    coc, *path = sums[1:] / np.maximum(sums[0], 1.0)
+    return Steps(
+        sums[0] > 0, meetings.reshape(n_steps, n_steps) / n_pairs, seams / n_pairs, coc, np.stack(path, axis=1)
+    )
+
+
+def _add_meetings(first: IntArray, second: IntArray, meetings: DoubleArray) -> None:
+    """Add the pairs of steps of pixels that both are drawn."""
+    both = (first >= 0) & (second >= 0)
+    nearer, farther = np.minimum(first, second)[both], np.maximum(first, second)[both]
+    n_steps = math.isqrt(len(meetings))
+    meetings += np.bincount(nearer * n_steps + farther, minlength=len(meetings))
+
+
+def _add_seams(first: DoubleArray, second: DoubleArray, seams: DoubleArray) -> None:
+    """Add the pairs of neighbours less than a step apart to the borders between them."""
+    nearer, farther = np.minimum(first, second), np.maximum(first, second)
+    parted = (farther - nearer < 1.0) & (np.floor(farther) > np.floor(nearer))
+    seams += np.bincount(farther[parted].astype(np.int64), minlength=len(seams))
+
+
+def best_cuts(steps: Steps, most_layers: int) -> DoubleArray:
+    """Choose the cuts between layers.
+
+    Parameters
+    ----------
+    steps : Steps
+    most_layers : int
+
+    Returns
+    -------
+    ndarray of shape (n,), float64
+        In steps, ascending, each above 0 and below their number.
+
+    Notes
+    -----
+    Surfaces that meet within one layer do each other harm: neither hides the other, and one mean stands for both of
+    their blurs. A cut through a surface does harm, too. The partition with least harm, for each number of layers,
+    follows from the best ones of what lies before its last cut (dynamic programming). A layer more is taken while it
+    spares `LEAST_GAIN`.
+    """
+    n = len(steps.coc)
+    total = np.zeros((n + 1, n + 1))
+    total[1:, 1:] = (steps.meetings * _harm(steps)).cumsum(axis=0).cumsum(axis=1)
+    diagonal = np.diag(total)
+    # cost[i, j] is that of a layer of steps i to j.
+    cost = np.triu(diagonal[None, :] - total - total.T + diagonal[:, None]) + np.tril(
+        np.full((n + 1, n + 1), np.inf), -1
+    )
+    least, cuts = cost[0], [np.zeros((n + 1, 0), np.int64)]
+    while len(cuts) < most_layers:
+        sums = (least + SEAM_PRICE * steps.seams)[:, None] + cost
+        last = sums.argmin(axis=0)
+        fewer = least
+        least = sums[last, np.arange(n + 1)]
+        if fewer[n] - least[n] < LEAST_GAIN:
+            break
+        cuts.append(np.concatenate([cuts[-1][last], last[:, None]], axis=1))
+    found = np.unique(cuts[-1][n])
+    return _amid_empty(found[(found > 0) & (found < n)], steps.filled)
+
+
+def _amid_empty(cuts: IntArray, filled: BoolArray) -> DoubleArray:
+    """Move cuts to the middle of the empty steps around them."""
+    places = np.flatnonzero(filled)
+    behind = np.searchsorted(places, cuts)
+    return np.asarray(0.5 * (places[behind - 1] + 1 + places[behind]), np.float64)
+
+
+def _harm(steps: Steps) -> DoubleArray:
+    """Return how much two steps in one layer harm each other, px: more where one is sharp and the other wide.
+
+    What counts is how their CoC radii differ; or their paths, in a frame that these blur more differently.
+    """
+    apart = np.abs(steps.coc[:, None] - steps.coc)
+    along = PATH_RADIUS * np.hypot(*(steps.path[:, None] - steps.path).transpose(2, 0, 1))
+    sharper = np.minimum(*np.abs(np.broadcast_arrays(steps.coc[:, None], steps.coc)))
+    if along.max() > apart.max():
+        apart, sharper = along, np.zeros_like(along)
+    return np.asarray(apart**2 / (1.0 + apart + sharper), np.float64)

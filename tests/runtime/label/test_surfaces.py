@@ -1,0 +1,122 @@
+"""Mixed pixels, drawn with many samples each, against the shares and colours that they were drawn with."""
+
+import numpy as np
+import pytest
+
+from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
+
+CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.1, focus_distance_m=6.0)
+NEAR, FAR = 2.0, 6.0
+FINE = 9
+"""Samples of a pixel along each axis; odd, so that one is its centre."""
+RED, BLUE = np.array([0.9, 0.3, 0.05]), np.array([0.1, 0.3, 0.6])
+
+
+def drawn(inside, size=24, filtered=False, alpha=False):
+    """Return a frame with a red near shape before a blue plane, or before nothing, and the shape's coverage."""
+    y, x = (np.mgrid[: size * FINE, : size * FINE] + 0.5) / FINE - 0.5
+    mask = inside(x, y)
+
+    def mean(values):
+        return values.reshape(size, FINE, size, FINE, -1).mean(axis=(1, 3)).squeeze()
+
+    share = mean(mask.astype(float))
+    radiance = share[..., None] * np.append(RED, 1.0) + (1 - share[..., None]) * np.append(BLUE, 1.0) * (not alpha)
+    depth = np.where(mask, NEAR, FAR)
+    depth = mean(depth) if filtered else depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
+    motion = np.where(depth < 0.5 * (NEAR + FAR), 3.0, -1.0)[..., None] * np.ones(2)
+    return Frame(radiance, depth, motion).layers[0], share
+
+
+def edge(x, y):
+    return x + 0.4 * y < 16.3
+
+
+def stick(x, y):
+    return np.abs(x - 0.3 * y - 8.2) < 0.8
+
+
+def dot(x, y):
+    return np.hypot(x - 11.8, y - 12.1) < 1.9
+
+
+def near_share(passes):
+    return sum(share * (layer.depth < 3.0) for layer, share in passes)
+
+
+def inner(values, margin=3):
+    return values[margin:-margin, margin:-margin]
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize(("shape", "most"), [(edge, 0.06), (stick, 0.2), (dot, 0.25)])
+def test_each_surface_gets_its_share(shape, most, filtered):
+    layer, truth = drawn(shape, filtered=filtered)
+    error = np.abs(inner(near_share(list(split_surfaces(layer, CAMERA))) - truth))
+    assert error.max() < most
+    assert error[(inner(truth) > 0.02) & (inner(truth) < 0.98)].mean() < most / 2
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_each_surface_gets_its_colour_and_all_add_up_to_the_pixel(shape, filtered):
+    layer, truth = drawn(shape, filtered=filtered)
+    passes = list(split_surfaces(layer, CAMERA))
+    total = sum(each.radiance * share[..., None] for each, share in passes)
+    assert np.abs(total - layer.radiance).max() < 1e-6
+    assert np.abs(sum(share for _, share in passes) - 1).max() < 1e-6
+    red, count = 0.0, 0.0
+    for each, share in passes:
+        weight = inner(share * (each.depth < 3.0))
+        red, count = red + (weight[..., None] * inner(each.radiance)[..., :3]).sum(axis=(0, 1)), count + weight.sum()
+    assert np.abs(red / count - RED).max() < 0.1
+
+
+def test_labels_are_those_of_a_surface_beside_the_pixel():
+    layer, _ = drawn(edge, filtered=True)
+    for each, share in split_surfaces(layer, CAMERA):
+        used = inner(share) > 0
+        depth, motion = inner(each.depth)[used], inner(each.motion)[used]
+        is_near = depth < 0.5 * (NEAR + FAR)
+        assert np.abs(depth - np.where(is_near, NEAR, FAR)).max() <= 0.05 * (FAR - NEAR)
+        assert (motion[is_near] == 3.0).all() and (motion[~is_near] == -1.0).all()
+
+
+def test_an_element_over_nothing_is_one_surface():
+    layer, share = drawn(edge, filtered=True, alpha=True)
+    ((found, weight),) = split_surfaces(layer, CAMERA)
+    assert weight is None and np.array_equal(found.radiance, layer.radiance)
+    assert (found.depth[share > 0.02] == NEAR).all(), "edges have the element's depth, not that of the nothing behind"
+
+
+@pytest.mark.parametrize(
+    "depth",
+    [
+        np.full((9, 12), NEAR),
+        np.linspace(NEAR, FAR, 12) * np.ones((9, 12)),
+        np.linspace(NEAR, FAR, 108).reshape(9, 12),
+    ],
+    ids=["flat", "slant", "steep"],
+)
+def test_one_surface_is_left_as_it_is(depth):
+    layer = Frame(np.random.default_rng(0).random((9, 12, 3)), depth).layers[0]
+    narrow = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2.8, focus_distance_m=6.0)
+    ((found, share),) = split_surfaces(layer, narrow)
+    assert share is None and found is layer
+
+
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_filtered_depth_is_told_from_point_samples(shape):
+    for filtered in (False, True):
+        layer, _ = drawn(shape, filtered=filtered)
+        place = (CAMERA.coc_scale(24) * (1 / 6.0 - 1 / layer.depth)).astype(np.float32)
+        assert depth_is_filtered(place) == filtered or shape is not edge
+
+
+def test_a_bright_lamp_keeps_its_light_to_itself():
+    layer, truth = drawn(dot)
+    lamp = Frame(truth[..., None] * 450.0 + (1 - truth[..., None]) * BLUE * 0.05, layer.depth).layers[0]
+    far = sum((s * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, s in split_surfaces(lamp, CAMERA))
+    assert far.max() < 0.2, "the plane behind has .03 and less of its own"
