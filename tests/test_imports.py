@@ -76,7 +76,9 @@ def test_each_module_imports_only_from_its_own_folder_or_what_stands_below_it(na
         own, its = room(name), room(other)
         assert own == its or LEVEL[its] < LEVEL[own], f"{name} ({own}) imports {other} ({its})"
         halves = {part.split(".")[0] for part in (own, its)}
-        assert halves != {"runtime", "precompute"} or (name, other) in MEASURED, f"{name} reaches into the other half: {other}"
+        assert halves != {"runtime", "precompute"} or (name, other) in MEASURED, (
+            f"{name} reaches into the other half: {other}"
+        )
 
 
 def test_no_modules_import_each_other_in_a_circle():
