@@ -1,8 +1,9 @@
 """The published way from a dense PSF to a spreadlet, to the letter: LKS section 5.5.
 
 Darts are thrown with the absolute Laplacian as importance, relaxed by Lloyd's iteration, given the sum of the Laplacian
-over their Voronoi cells, and annealed. A PSF that would need as many points as it has pixels is drawn directly. One thing
-is added in the end, lest the images be useless: the moments of the values, which decide the field far away, are repaired.
+over their Voronoi cells, and annealed. A PSF that would need as many points as it has pixels is drawn directly. One
+thing is added at the end, lest the images be useless: the moments of the values, which decide the field far away, are
+repaired.
 """
 
 from __future__ import annotations

@@ -64,15 +64,15 @@ def test_the_fit_is_sparser_at_a_higher_similarity():
 
 
 def test_the_moments_are_repaired_and_hardly_anything_else():
-    psf = np.pad(DISC, 9)[..., None]
-    points, value = place_points(psf, 1.0, np.random.default_rng(0))
+    psf = gaussian_filter(np.pad(DISC, 12), 2.0)[..., None]
+    points, value = place_points(psf, 0.5, np.random.default_rng(0))
     offset = points - np.array(psf.shape[:2]) // 2
     repaired = with_moments(psf, offset, value)
     rows, cols = offset.T
     for power in (rows**0, rows, cols, rows * cols):
         np.testing.assert_allclose(power @ repaired, 0.0, atol=1e-9)
     np.testing.assert_allclose([rows**2 @ repaired, cols**2 @ repaired], 2.0, rtol=1e-9)
-    assert abs(rows @ value) > 1e-3
+    assert max(abs(rows @ value), abs(cols @ value), abs(rows**2 @ value - 2.0)) > 1e-2
     assert np.abs(repaired - value).max() < 0.05 * np.abs(value).max()
     assert sparsify(DISC, sparsifier="lks")[1]["energy_error"] < 1e-5
 
