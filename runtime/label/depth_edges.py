@@ -42,8 +42,7 @@ def split_depth_edges(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, I
     height, width = layer.shape
     near, far = np.empty((2, height, width, 2), np.int32)
     share = np.empty((height, width), np.float32)
-    scale = camera.coc_scale(width)
-    limits = scale, LEAST_GAP, FLATNESS
+    limits = camera.coc_scale(layer.raster.display.width), LEAST_GAP, FLATNESS
     if not sum(for_bands(_edge_kernels.find_blends, height, layer.depth, layer.radiance, *limits, near, far, share)):
         yield layer, None
         return

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from spreadlets.errors import InvalidFileError, InvalidParameterError, SpreadletsError
+from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError, SpreadletsError
 
-COUNTER = re.compile(r"#+|%0(\d+)d|%d")
-"""What stands for the frame's number: one ``#`` per digit, or as in C."""
+COUNTER = re.compile(r"#+|@+|%0(\d+)d|%d|\$F(\d*)")
+"""What stands for the frame's number: one ``#`` or ``@`` per digit, or as in C or Houdini."""
 
 MAX_FRAMES = 1_000_000
 """Longest sequence, eleven hours at 24 frames a second: a slip of the keyboard should not fill memory."""
@@ -23,23 +23,16 @@ NAMED_FRAMES = 20
 
 def is_pattern(path: str) -> bool:
     """Tell whether a path stands for a sequence: it has a counter, and is not the name of a file."""
-    return COUNTER.search(path) is not None and not os.path.exists(path)
+    return bool(_counters(path))
 
 
 def numbered(pattern: str, number: int) -> str:
-    """Return the path of one frame; a path without a counter is the same for all.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the path has several counters.
-    """
-    counters = list(COUNTER.finditer(pattern)) if is_pattern(pattern) else []
-    if len(counters) > 1:
-        raise InvalidParameterError(
-            f"{pattern} has {len(counters)} counters; one (such as ####) tells the frame's number"
-        )
-    return _filled(pattern, counters[0], f"{number:0{_digits(counters[0])}d}") if counters else pattern
+    """Return the path of one frame: its number in place of each counter; a path without is the same for all."""
+    parts, end = [], 0
+    for counter in _counters(pattern):
+        parts += [pattern[end : counter.start()], f"{number:0{_digits(counter)}d}"]
+        end = counter.end()
+    return "".join(parts) + pattern[end:]
 
 
 def parse_frames(text: str) -> list[int]:
@@ -48,7 +41,7 @@ def parse_frames(text: str) -> list[int]:
     Parameters
     ----------
     text : str
-        Such as ``1-24``, ``1-24x2`` (every second), or ``1,5,9-12``.
+        Such as ``1-24``, ``1-24x2`` (every second), ``1,5,9-12``, or ``-10--1``.
 
     Returns
     -------
@@ -62,7 +55,7 @@ def parse_frames(text: str) -> list[int]:
     """
     numbers: set[int] = set()
     for item in text.split(","):
-        found = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9})(?:x(\d{1,9}))?)?\s*", item)
+        found = re.fullmatch(r"\s*(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?\s*", item)
         if found is None or found[3] is not None and int(found[3]) == 0:
             raise InvalidParameterError(f"frames is {text!r}; it must be like 1-24, 1-24x2 or 1,5,9-12")
         first, last = int(found[1]), int(found[2] or found[1])
@@ -77,14 +70,15 @@ def parse_frames(text: str) -> list[int]:
 
 def existing_frames(pattern: str) -> list[int]:
     """Return the numbers of a pattern's files that exist, ascending."""
-    (counter,) = COUNTER.finditer(pattern)
-    before, after = pattern[: counter.start()], pattern[counter.end() :]
-    numbers = []
-    for path in glob.glob(glob.escape(before) + "*" + glob.escape(after)):
-        digits = path[len(before) : len(path) - len(after)]
-        if digits.isdecimal() and f"{int(digits):0{_digits(counter)}d}" == digits:
-            numbers.append(int(digits))
-    return sorted(numbers)
+    first, *_ = counters = _counters(pattern)
+    ends = [counter.end() for counter in counters]
+    begins = [*(counter.start() for counter in counters[1:]), len(pattern)]
+    between = [pattern[end:begin] for end, begin in zip(ends, begins, strict=True)]
+    before = pattern[: first.start()]
+    found = re.compile(re.escape(before) + r"(-?\d+)" + r"-?\d+".join(map(re.escape, between)))
+    names = glob.glob(glob.escape(before) + "*" + "*".join(map(glob.escape, between)))
+    numbers = {int(match[1]) for match in map(found.fullmatch, names) if match}
+    return sorted(number for number in numbers if os.path.exists(numbered(pattern, number)))
 
 
 def sequence_frames(
@@ -115,7 +109,7 @@ def sequence_frames(
     InvalidFileError
         If an input lacks a frame; the message names the numbers.
     InvalidParameterError
-        If the output has no counter or would replace an input, or the frames cannot be parsed.
+        If the output has no counter, or the frames cannot be parsed.
     """
     patterns = [path for path in inputs if is_pattern(path)]
     if not is_pattern(output):
@@ -123,15 +117,13 @@ def sequence_frames(
     if frames is not None:
         numbers = parse_frames(frames)
     else:
-        numbers = sorted(set().union(*(existing_frames(_single(pattern)) for pattern in patterns)))
+        numbers = sorted(set().union(*(existing_frames(pattern) for pattern in patterns)))
         if not numbers:
             raise InvalidFileError(f"{patterns[0]}: no such frames exist")
     for path in [*inputs, *others]:
         missing = [number for number in numbers if not os.path.isfile(numbered(path, number))]
         if missing:
             raise InvalidFileError(f"{path}: {len(missing)} frames are missing: {listed(missing)}")
-    if os.path.realpath(numbered(output, numbers[0])) in {os.path.realpath(numbered(p, numbers[0])) for p in inputs}:
-        raise InvalidParameterError(f"the output {output} would replace the frames that are read")
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers)) if frames is None else []
     return numbers, gaps
 
@@ -162,13 +154,14 @@ def run_sequence(
     Returns
     -------
     dict
-        ``frames`` (a list of reports with ``frame``, ``output`` and ``skipped``), ``written``, ``skipped`` and
-        ``total_s``.
+        ``frames`` (a list of reports with ``frame``, ``output`` and ``skipped``, and ``error`` if it failed),
+        ``written``, ``skipped``, ``failed`` (the numbers of frames whose files or pixels are bad) and ``total_s``.
 
     Raises
     ------
     SpreadletsError
-        As `make` raises it; the message says which frame. Earlier results stay.
+        Of another kind than bad files and pixels, as `make` raises it; the message says which frame. Earlier results
+        stay.
     """
     begin = time.perf_counter()
     reports = []
@@ -180,13 +173,17 @@ def run_sequence(
         if not done:
             try:
                 entry |= make(number, path)
+            except (InvalidFileError, InvalidFrameError) as error:
+                entry["error"] = str(error)
             except SpreadletsError as error:
                 raise type(error)(f"frame {number}: {error}") from error
         reports.append(entry)
         progress(index + 1, len(numbers))
     skipped = sum(entry["skipped"] for entry in reports)
-    written = len(reports) - skipped
-    return {"frames": reports, "written": written, "skipped": skipped, "total_s": time.perf_counter() - begin}
+    failed = [entry["frame"] for entry in reports if "error" in entry]
+    written = len(reports) - skipped - len(failed)
+    figures = {"written": written, "skipped": skipped, "failed": failed, "total_s": time.perf_counter() - begin}
+    return {"frames": reports, **figures}
 
 
 def listed(numbers: Iterable[int]) -> str:
@@ -201,17 +198,17 @@ def listed(numbers: Iterable[int]) -> str:
     return ", ".join(shown) + (", ..." if len(runs) > NAMED_FRAMES else "")
 
 
-def _single(pattern: str) -> str:
-    """Return a pattern after checking that it has one counter."""
-    numbered(pattern, 0)
-    return pattern
+def _counters(path: str) -> list[re.Match[str]]:
+    """Return the counters of a path; what is the name of a folder or file that exists has none."""
+    if os.path.exists(path):
+        return []
+    folder = os.path.dirname(path)
+    while folder and not os.path.isdir(folder):
+        folder = os.path.dirname(folder)
+    return list(COUNTER.finditer(path, len(folder)))
 
 
 def _digits(counter: re.Match[str]) -> int:
-    if counter[0].startswith("#"):
+    if counter[0][0] in "#@":
         return len(counter[0])
-    return int(counter[1] or 1)
-
-
-def _filled(pattern: str, counter: re.Match[str], digits: str) -> str:
-    return pattern[: counter.start()] + digits + pattern[counter.end() :]
+    return int(counter[1] or counter[2] or 1)

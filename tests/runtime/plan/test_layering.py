@@ -11,8 +11,8 @@ from threads import for_thread_counts
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.cli.main import cli, main
 from spreadlets.errors import InvalidParameterError
-from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
+from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LAST, add_layer
 from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, seen_share

@@ -11,6 +11,7 @@ import pytest
 
 from spreadlets.cli import main as cli
 from spreadlets.files import exr_frames as exr
+from spreadlets.files import images
 from spreadlets.psf.database import open_database
 from spreadlets.scene.frame import Frame
 
@@ -45,7 +46,7 @@ def scene(tmp_path):
     radiance = rng.random((24, 32, 3)).astype(np.float32)
     motion = np.full((24, 32, 2), 4.0, np.float32)
     exr.write_frame(tmp_path / "frame.exr", Frame(radiance, np.full((24, 32), 5.0), motion))
-    exr.write_image(tmp_path / "reference.exr", radiance)
+    images.write_image(tmp_path / "reference.exr", radiance)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
     return tmp_path
 
@@ -174,7 +175,7 @@ def shot(scene):
     frame = exr.read_frame(scene / "frame.exr")
     for number in (1, 2, 3):
         exr.write_frame(scene / f"shot.{number:04d}.exr", Frame(frame.radiance * number / 3, frame.depth, frame.motion))
-        exr.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
+        images.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
     return scene
 
 
