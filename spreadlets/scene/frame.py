@@ -356,6 +356,8 @@ def _check_raster(raster: Raster, shape: tuple[int, int]) -> None:
 
 def _placed_layer(layer: Layer, raster: Raster) -> Layer:
     """Return a layer as it lies in another data window, with empty pixels where it does not reach."""
+    if layer.raster == raster:
+        return layer
     own, target = layer.raster.data, raster.data
     before, after = layer.motion_prev, layer.motion_next
     return replace(

@@ -27,6 +27,11 @@ def touch(folder, *names):
         ("frame.%04d.exr", 7, "frame.0007.exr"),
         ("frame.%d.exr", 7, "frame.7.exr"),
         ("shot_%03d/beauty.exr", 7, "shot_007/beauty.exr"),
+        ("frame_####_beauty.exr", 7, "frame_0007_beauty.exr"),
+        ("frame.$F4.exr", 7, "frame.0007.exr"),
+        ("frame.$F.exr", 7, "frame.7.exr"),
+        ("frame.@@@@.exr", 7, "frame.0007.exr"),
+        ("frame.####.exr", -7, "frame.-007.exr"),
         ("camera.json", 7, "camera.json"),
         ("100%.exr", 7, "100%.exr"),
     ],
@@ -41,20 +46,36 @@ def test_a_file_that_has_the_name_of_a_pattern_is_itself(tmp_path):
     assert not is_pattern(str(tmp_path / "take#2.exr")) and is_pattern(str(tmp_path / "take#3.exr"))
 
 
-def test_one_counter_is_enough():
-    with pytest.raises(InvalidParameterError, match="has 2 counters"):
-        numbered("shot##/frame.####.exr", 1)
+def test_every_counter_is_the_frame_number(tmp_path):
+    assert numbered("take##/frame.####.exr", 1) == "take01/frame.0001.exr"
+    touch(tmp_path, "take01/f.0001.exr", "take02/f.0002.exr", "take03/f.0004.exr")
+    assert existing_frames(str(tmp_path / "take##" / "f.####.exr")) == [1, 2]
+
+
+def test_a_counter_in_the_name_of_a_folder_that_exists_is_none(tmp_path):
+    touch(tmp_path, "shot#3/take.0007.exr", "shot3/take.0008.exr")
+    pattern = str(tmp_path / "shot#3" / "take.####.exr")
+    assert numbered(pattern, 7).endswith("shot#3/take.0007.exr") and existing_frames(pattern) == [7]
+    assert not is_pattern(str(tmp_path / "shot#3" / "out.exr"))
 
 
 @pytest.mark.parametrize(
     ("text", "numbers"),
-    [("3", [3]), ("1-4", [1, 2, 3, 4]), ("1-8x3", [1, 4, 7]), ("9, 1-3,2", [1, 2, 3, 9]), ("0-0", [0])],
+    [
+        ("3", [3]),
+        ("1-4", [1, 2, 3, 4]),
+        ("1-8x3", [1, 4, 7]),
+        ("9, 1-3,2", [1, 2, 3, 9]),
+        ("0-0", [0]),
+        ("-3", [-3]),
+        ("-2-1", [-2, -1, 0, 1]),
+    ],
 )
 def test_ranges_of_frames(text, numbers):
     assert parse_frames(text) == numbers
 
 
-@pytest.mark.parametrize("text", ["", "a", "1-", "4-1", "1-4x0", "-3", "1--3", "1-99999999", "1,,2"])
+@pytest.mark.parametrize("text", ["", "a", "1-", "4-1", "1-4x0", "--3", "1--3", "1-99999999", "1,,2"])
 def test_what_is_no_range_is_refused(text):
     with pytest.raises(InvalidParameterError, match="frames"):
         parse_frames(text)
@@ -82,8 +103,6 @@ def test_the_frames_of_a_sequence(tmp_path):
         sequence_frames([str(tmp_path / "none.##.exr")], [], out, None)
     with pytest.raises(InvalidParameterError, match=r"the output .*back\.png needs a counter"):
         sequence_frames([front], [], str(tmp_path / "back.png"), None)
-    with pytest.raises(InvalidParameterError, match="would replace the frames"):
-        sequence_frames([front], [], str(tmp_path / "front.%02d.exr"), None)
 
 
 def test_long_lists_of_frames_are_cut():
@@ -109,9 +128,19 @@ def test_a_run_makes_what_is_not_there_and_reports_each_frame(tmp_path):
     assert [number for number, _ in made[2:]] == [1, 2, 3]
 
 
-def test_an_error_says_which_frame(tmp_path):
+def test_a_run_goes_on_after_a_bad_frame_and_names_it(tmp_path):
     def make(number, path):
-        raise InvalidFileError("no depth")
+        if number == 4:
+            raise InvalidFileError("no depth")
+        return {}
 
-    with pytest.raises(InvalidFileError, match="frame 4: no depth"):
-        run_sequence([4], str(tmp_path / "out.#.exr"), make)
+    report = run_sequence([3, 4, 5], str(tmp_path / "out.#.exr"), make)
+    assert (report["written"], report["failed"]) == (2, [4]) and report["frames"][1]["error"] == "no depth"
+
+
+def test_an_error_that_is_no_frames_own_stops_and_says_which_frame(tmp_path):
+    def make(number, path):
+        raise InvalidParameterError("no such method")
+
+    with pytest.raises(InvalidParameterError, match="frame 4: no such method"):
+        run_sequence([4, 5], str(tmp_path / "out.#.exr"), make)
