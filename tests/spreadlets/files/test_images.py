@@ -127,6 +127,7 @@ def test_windows_aspect_and_attributes_of_a_frame_come_back(path, tmp_path):
         name: each for name, each in before.items() if name not in own
     }
     found = OpenEXR.File(str(tmp_path / "out.exr"), separate_channels=True)
+    assert (tmp_path / "out.exr").read_bytes()[5] & 4, "the bit of long names"
     assert found.header()["comments"] == "shot 010" and (found.channels()["R"].pixels == 2).all()
 
 
