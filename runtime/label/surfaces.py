@@ -66,7 +66,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
 def _places(layer: Layer, camera: ThinLens) -> Image:
     """Return where surfaces lie in depth, as CoC radii, px."""
     place = np.empty(layer.shape, np.float32)
-    optics = camera.coc_scale(layer.shape[1]), 1.0 / camera.focus_distance_m
+    optics = camera.coc_scale(layer.raster.display.width), 1.0 / camera.focus_distance_m
     for_bands(_label_kernels.coc_radii, len(place), layer.depth, *optics, place)
     return place
 

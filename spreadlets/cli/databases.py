@@ -69,9 +69,13 @@ def build(
     """
     from spreadlets.api import build_database
     from spreadlets.files.exr_frames import read_frame
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.psf.database import open_database
     from spreadlets.scene.camera import read_camera
 
+    log = [options["log"]] if options["log"] else []
+    reads = [*frame_paths, *filter(None, (camera_path, options["lens"], options["image"]))]
+    check_outputs([output, *log], reads)
     if frame_paths and not camera_path:
         raise click.UsageError("--for needs --camera, too")
     if camera_path:
@@ -143,12 +147,14 @@ def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> 
 def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:
     """Print the summary of a database, verified if that is asked for: then a bad one is an error."""
     from spreadlets.api import DensePsfs, verify_database
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.psf.database import open_database
     from spreadlets.reports.database_plot import plot_database
 
     verify, jobs = verification
     with open_database(database) as opened:
         if plot:
+            check_outputs([plot], [opened.path])
             plot_database(opened, plot, DensePsfs(opened))
         figures = opened.summary()
         if verify:

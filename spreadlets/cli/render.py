@@ -37,11 +37,28 @@ class _Job(NamedTuple):
     reference: str | None
     reading: dict[str, Any]
     rendering: dict[str, Any]
+    also: Sequence[str] = ()
+    pass_through: bool = False
+
+    def check(self) -> None:
+        """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
+        from spreadlets.files.images import OPENEXR, image_extension
+        from spreadlets.files.outputs import check_outputs
+
+        database = self.rendering["database"]
+        others = (self.camera, self.reference, database if isinstance(database, str) else None)
+        if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
+            raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
+        check_outputs([self.output], [*self.frames, *filter(None, others)])
 
 
 @cloup.command()
 @cloup.argument("frames", nargs=-1, required=True, type=click.Path(dir_okay=False), metavar="FRAME.exr...")
-@output_options("The image to write.")
+@output_options(
+    "The image to write: .exr, or for viewing .png, .jpg or .tif.",
+    cloup.option("--also", metavar="NAME,...", help="Blur these further colour layers of the file, too."),
+    cloup.option("--pass-through", is_flag=True, help="Copy all other channels of the file unchanged."),
+)
 @camera_options
 @cloup.option_group(
     "Method",
@@ -78,6 +95,8 @@ def synth(
     reference: str | None,
     numbers: str | None,
     overwrite: bool,
+    also: str | None,
+    pass_through: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -94,10 +113,13 @@ def synth(
 
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
     reading = {name: value for name, value in input_settings(options).items() if value is not None}
+    layers = tuple(name.strip() for name in also.split(",")) if also else ()
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        print_figures(_synthesise(_Job(frames, output, camera, reference, reading, rendering)), as_json)
+        job = _Job(frames, output, camera, reference, reading, rendering, layers, pass_through)
+        job.check()
+        print_figures(_synthesise(job), as_json)
         return
     with _databases() as choose:
 
@@ -106,13 +128,15 @@ def synth(
             truth = numbered(reference, number) if reference else None
             name, motion = rendering["database"], rendering["motion"]
             chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
-            report = _synthesise(_Job(inputs, path, numbered(camera, number), truth, reading, chosen))
+            job = _Job(inputs, path, numbered(camera, number), truth, reading, chosen, layers, pass_through)
+            report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
-        others = [camera, *([reference] if reference else [])]
+        others = [each for each in (camera, reference) if each]
+        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
         with warnings.catch_warnings():
-            report = _sequence(frames, others, output, numbers, overwrite, make, as_json)
+            report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
     if report["failed"]:
         count = f"{len(report['failed'])} of {len(report['frames'])} frames could not be made"
@@ -125,8 +149,11 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     from spreadlets import metrics
     from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
+    from spreadlets.files import images
+    from spreadlets.files.further_channels import named_channels, other_channels, with_colours
     from spreadlets.runtime.clock import Clock
     from spreadlets.scene.camera import read_camera
+    from spreadlets.scene.raster import placed
 
     clock = Clock()
     with clock.step("read"):
@@ -138,27 +165,47 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     image, report = synthesize(frame, camera, **rendering, report=True, clock=clock)
     if frame.dropped_pixels:
         warnings.warn(f"{frame.dropped_pixels} invalid pixels were dropped", stacklevel=1)
-    figures = metrics.compare(image, truth) if truth is not None else {}
+    shown = placed(image, frame.raster.data, frame.raster.display)
+    figures = metrics.compare(shown, truth) if truth is not None else {}
+    further = {}
+    if job.pass_through:
+        further = other_channels(job.frames, frame.raster, job.reading.get("colour_layer"))
+    for name, element in with_colours(job.frames, frame, job.also):
+        further |= named_channels(name, synthesize(element, camera, **rendering, clock=clock))
     with clock.step("write"):
-        exr.write_image(job.output, image)
+        images.write_image(job.output, image, raster=frame.raster, channels=further)
     return report.to_dict() | {"time_s": clock.times()} | figures
 
 
+def _chosen(
+    frames: Sequence[str], others: Sequence[str], reads: Sequence[str], output: str, numbers: str | None
+) -> list[int]:
+    """Return which frames of a sequence to make, after checking that no result replaces a file that is read."""
+    from spreadlets.files.images import image_extension
+    from spreadlets.files.outputs import check_outputs
+    from spreadlets.files.sequence import listed, numbered, sequence_frames
+
+    chosen, gaps = sequence_frames(frames, others, output, numbers)
+    if gaps:
+        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
+    image_extension(output)
+    check_outputs(
+        [numbered(output, number) for number in chosen],
+        {numbered(path, number) for path in reads for number in chosen},
+    )
+    return chosen
+
+
 def _sequence(
-    frames: Sequence[str],
-    others: Sequence[str],
+    chosen: Sequence[int],
     output: str,
-    numbers: str | None,
     overwrite: bool,
     make: Callable[[int, str], dict[str, Any]],
     as_json: bool,
 ) -> dict[str, Any]:
     """Make the frames of a sequence, with a bar; for people each frame's report is cut to its time."""
-    from spreadlets.files.sequence import listed, run_sequence, sequence_frames
+    from spreadlets.files.sequence import run_sequence
 
-    chosen, gaps = sequence_frames(frames, others, output, numbers)
-    if gaps:
-        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
     with progress_bar(os.path.basename(output), quiet=as_json) as progress:
         report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
     for entry in report["frames"]:
@@ -199,7 +246,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
 
 @cloup.command()
 @cloup.argument("samples", type=click.Path(dir_okay=False), metavar="SAMPLES.exr")
-@output_options("The image to write.")
+@output_options("The image to write: .exr, or for viewing .png, .jpg or .tif.")
 @camera_options
 @cloup.option_group(
     "Method",
@@ -261,10 +308,16 @@ def reconstruct(
     from spreadlets import metrics
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_samples import read_samples
+    from spreadlets.files import images
+    from spreadlets.files.exr_samples import read_samples, samples_files, samples_raster
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.runtime.clock import Clock
     from spreadlets.scene.camera import read_camera
 
+    images.image_extension(output)
+    check_outputs(
+        [output], [each for each in (*samples_files(samples), camera, reference, options["database"]) if each]
+    )
     clock = Clock()
     with clock.step("read"):
         lens = read_camera(camera)
@@ -276,7 +329,7 @@ def reconstruct(
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
     figures = metrics.compare(image, truth) if truth is not None else {}
     with clock.step("write"):
-        exr.write_image(output, image)
+        images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
 
 

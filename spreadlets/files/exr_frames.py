@@ -1,4 +1,4 @@
-"""Frames and images as OpenEXR, previews as PNG.
+"""Frames as OpenEXR, and the colours of an image.
 
 What the channels mean is told by the tables of `spreadlets.files.conventions`.
 """
@@ -8,15 +8,16 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.files.atomic import atomic_path
+from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
@@ -37,41 +38,20 @@ from spreadlets.files.exr_parts import (
     Plane,
     check_headers,
     check_same_window,
+    covered,
     gather,
     is_deep,
     library_messages,
     merged,
-    overlap,
     part_header,
+    part_of,
     read_headers,
     read_parts,
     window,
 )
 from spreadlets.files.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.display import display_encode
-from spreadlets.scene.frame import Frame, Layer, image_array
-
-HALF_MAX = float(np.finfo(np.float16).max)
-
-RESERVED_METADATA = frozenset(
-    {
-        "channels",
-        "chunkCount",
-        "compression",
-        "dataWindow",
-        "displayWindow",
-        "lineOrder",
-        "name",
-        "pixelAspectRatio",
-        "screenWindowCenter",
-        "screenWindowWidth",
-        "tiles",
-        "type",
-        "version",
-    }
-)
-"""Header attributes that describe the file itself; other values there would break it."""
+from spreadlets.scene.frame import Frame, Layer
 
 
 def read_frame(
@@ -129,8 +109,8 @@ def read_frame(
     Returns
     -------
     Frame
-        In the file's display window; where the data window does not reach, pixels are empty. Without motion channels
-        the frame is still.
+        In the file's data window. A frame that is not opaque reaches as far as the display window, too: its blur goes
+        on where it has no pixels. Without motion channels the frame is still.
 
     Raises
     ------
@@ -169,7 +149,7 @@ def read_frame(
     )
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     layers = [layer for path in files for layer in _read_file(path, options, repair, max_layers)]
-    return layers[0] if len(layers) == 1 else Frame.from_layers(layers)
+    return _with_room(layers[0] if len(layers) == 1 else Frame.from_layers(layers))
 
 
 def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray:
@@ -203,52 +183,6 @@ def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray
     colour = find_colour(image, ReadOptions(colour_layer=colour_layer))
     check_same_window(image, colour)
     return _radiance(image, colour)
-
-
-def write_image(
-    path: PathLike,
-    radiance: npt.ArrayLike,
-    *,
-    half: bool = False,
-    metadata: Mapping[str, str | int | float] | None = None,
-) -> None:
-    """Write an image as OpenEXR; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced.
-    radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values, stored as R, G, B and A.
-    half : bool
-        Store 16-bit floats (values beyond 65504 are clipped) instead of 32-bit ones.
-    metadata : mapping, optional
-        Header attributes: names to strings, integers or floats.
-
-    Raises
-    ------
-    InvalidFrameError
-        If `radiance` is no such array.
-    InvalidParameterError
-        If the metadata has a reserved name or a value of another type.
-    InvalidFileError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> sp.write_image("image.exr", np.ones((4, 6, 4)), half=True, metadata={"artist": "me"})
-    >>> sp.read_image("image.exr").shape
-    (4, 6, 4)
-    """
-    image = image_array("radiance", radiance)
-    channels = {name: image[..., index] for index, name in enumerate("RGBA"[: image.shape[2]])}
-    if half:
-        channels = {name: np.clip(plane, -HALF_MAX, HALF_MAX) for name, plane in channels.items()}
-    stored = {name: np.ascontiguousarray(plane, np.float16 if half else np.float32) for name, plane in channels.items()}
-    header = {**_checked_metadata(metadata or {}), **part_header()}
-    with atomic_path(path, ".exr") as temporary, library_messages():
-        OpenEXR.File(header, stored).write(str(temporary))
 
 
 def write_frame(
@@ -309,37 +243,15 @@ def write_frame(
         OpenEXR.File(parts).write(str(temporary))
 
 
-def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
-    """Write an image as an 8-bit sRGB PNG for viewing; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced.
-    radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values; premultiplied colours are shown over black, NaN as black.
-
-    Raises
-    ------
-    InvalidFrameError
-        If `radiance` is no such array.
-    InvalidFileError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> sp.write_png("image.png", np.full((4, 6, 3), 0.18))
-    """
-    from PIL import Image as Picture
-
-    encoded = display_encode(image_array("radiance", radiance)[..., :3])
-    pixels = np.rint(255 * np.nan_to_num(encoded)).astype(np.uint8)
-    with atomic_path(path, ".png") as temporary:
-        Picture.fromarray(pixels).save(temporary)
-
-
 # --- Reading -------------------------------------------------------------------------------------------------------
+
+
+def _with_room(frame: Frame) -> Frame:
+    """Return a frame with empty pixels up to the display window, if it is an element whose blur may reach there."""
+    whole = frame.raster.data.union(frame.raster.display)
+    if whole == frame.raster.data or frame.layers[-1].radiance[..., 3].min() == 1:
+        return frame
+    return frame.reaching(whole)
 
 
 def _read_file(path: PathLike, options: ReadOptions, repair: bool, max_layers: int) -> list[Frame]:
@@ -355,7 +267,7 @@ def layer_images(path: PathLike) -> list[Image]:
     parts = read_parts(path)
     one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
     if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
-        return [Image(path, part.planes, part.display) for part in parts]
+        return [Image(path, part.planes, part.display, parts) for part in parts]
     return [merged(path, parts)]
 
 
@@ -368,7 +280,8 @@ def deep_header(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> tuple[i
     header = headers[deep[0]]
     data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
     planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
-    return deep[0], Image(path, planes, window(header["displayWindow"]))
+    part = part_of(header, planes, carried_attributes(path)[deep[0]])
+    return deep[0], Image(path, planes, part.display, [part])
 
 
 def _read_deep(
@@ -382,24 +295,25 @@ def _read_deep(
     depth, motion = find_depth(image, colour, options), find_motion(image, options)
     names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
     _warn(image, depth.doubt, motion.doubt if motion else "")
-    shape = image.display.height, image.display.width
-    part, data = read_deep_part(path, index), image.planes[colour[0]].window
-    if part.counts.shape != (data.height, data.width):
+    part, raster = read_deep_part(path, index), image.raster(colour[0])
+    if part.counts.shape != raster.data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
+    raster = raster.reaching(raster.data.union(raster.display))
+    scale, shape = replace(options.scale, raster=raster), raster.data.shape
     try:
         samples, dropped = deep_image(
             part,
-            data,
-            image.display,
+            image.planes[colour[0]].window,
+            raster.data,
             names,
-            to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, options.scale),
-            to_motion=lambda channels: _mean_motion(motion, channels, shape, options.scale),
+            to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, scale),
+            to_motion=lambda channels: _mean_motion(motion, channels, shape, scale),
             unpremultiplied=options.unpremultiplied,
             repair=repair,
         )
         if dropped:
             warnings.warn(f"{path}: {dropped} invalid deep samples were dropped", stacklevel=4)
-        return samples.layers(max_layers)
+        return samples.layers(max_layers).lying_at(raster)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{path}: {error}") from None
 
@@ -417,22 +331,26 @@ def _read_layer(image: Image, options: ReadOptions, repair: bool) -> Frame:
     colour = find_colour(image, options)
     depth = find_depth(image, colour, options)
     motion = find_motion(image, options)
-    check_same_window(image, [*colour, *depth.channels, *(motion.channels if motion else ())])
-    radiance = _radiance(image, colour)
+    for names in (colour, depth.channels, *([motion.channels] if motion else [])):
+        check_same_window(image, names)
+    raster = image.raster(colour[0])
+    scale = replace(options.scale, raster=raster)
+    radiance = gather(image, colour, raster.data)
     if options.unpremultiplied and radiance.shape[2] == 4:
         radiance[..., :3] *= radiance[..., 3:]
-    stored = gather(image, depth.channels)[..., 0]
+    stored = gather(image, depth.channels, raster.data, 1.0)[..., 0]
     alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
     told = options.depth_convention is not None or options.preset is not None
     _warn(image, depth.doubt, motion.doubt if motion else "")
     if looks_wrong := depth_warning(os.fspath(image.path), depth, stored, alpha, told):
         warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
     try:
-        planar = planar_depth(depth.convention, stored, options.scale)
+        planar = planar_depth(depth.convention, stored, scale)
+        planar[~covered(image, depth.channels[0], raster.data)] = np.inf
         labels = {}
         if motion is not None:
-            labels = motion_labels(motion.convention, gather(image, motion.channels), planar, options.scale)
-        return Frame(radiance, planar, **labels, repair=repair)
+            labels = motion_labels(motion.convention, gather(image, motion.channels, raster.data), planar, scale)
+        return Frame(radiance, planar, **labels, raster=raster, repair=repair)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{image.path}: {error}") from None
 
@@ -450,22 +368,11 @@ def _radiance(image: Image, names: Sequence[str]) -> FloatArray:
     window = image.planes[names[0]].window
     if len(names) == 4 or window == image.display:
         return colours
-    coverage = np.zeros((*colours.shape[:2], 1), np.float32)
-    coverage[overlap(image.display, window)[0]] = 1
-    return np.concatenate([colours, coverage], axis=2)
+    coverage = covered(image, names[0], image.display).astype(np.float32)
+    return np.concatenate([colours, coverage[..., None]], axis=2)
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------
-
-
-def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, str | int | float]:
-    """Return the metadata, or raise InvalidParameterError if the header cannot hold it."""
-    for name, value in metadata.items():
-        if name in RESERVED_METADATA:
-            raise InvalidParameterError(f"metadata {name!r} is reserved: it describes the file itself")
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise InvalidParameterError(f"metadata {name!r} is {value!r}; it must be a string, an integer or a float")
-    return dict(metadata)
 
 
 def _stored_channels(layer: Layer, row: Preset, scale: Scale, unpremultiplied: bool) -> dict[str, FloatArray]:

@@ -11,17 +11,19 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
-from spreadlets.arrays import FloatArray, PathLike
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError
 from spreadlets.files.atomic import LIBRARY_ERRORS
+from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
+from spreadlets.scene.raster import Attribute, Raster, Window, overlap
 
 MAX_VALUES = 1 << 30
 """Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
@@ -45,15 +47,6 @@ _STDERR_DESCRIPTOR = 2
 _STDERR_LOCK = threading.Lock()
 
 
-class Window(NamedTuple):
-    """A pixel rectangle: left column, top row, width, height."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
 @dataclass(frozen=True, eq=False)
 class Plane:
     """One channel's pixels where the file stores them."""
@@ -71,6 +64,8 @@ class Part:
     planes: Mapping[str, Plane]
     display: Window
     view: str
+    pixel_aspect: float = 1.0
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +75,15 @@ class Image:
     path: PathLike
     planes: Mapping[str, Plane]
     display: Window
+    parts: Sequence[Part] = ()
+
+    def raster(self, name: str) -> Raster:
+        """Return where a channel's pixels lie, and what the header of its part says besides."""
+        plane = self.planes[name]
+        part = next((part for part in self.parts if plane in part.planes.values()), None)
+        if part is None:
+            return Raster(plane.window, self.display)
+        return Raster(plane.window, self.display, part.pixel_aspect, attributes=part.attributes)
 
     def problem(self, what: str, option: str) -> InvalidFileError:
         """Return an error that lists the channels and names the option that settles the matter."""
@@ -97,7 +101,7 @@ def merged(path: PathLike, parts: Sequence[Part]) -> Image:
         for name, plane in part.planes.items():
             bare = len(parts) == 1 or not part.name or name.startswith(part.name + ".")
             planes[name if bare else f"{part.name}.{name}"] = plane
-    return Image(path, planes, parts[0].display)
+    return Image(path, planes, parts[0].display, parts)
 
 
 def read_parts(path: PathLike) -> list[Part]:
@@ -105,23 +109,27 @@ def read_parts(path: PathLike) -> list[Part]:
     headers = read_headers(path)
     check_headers(path, headers)
     check_chunks(path)
+    carried = carried_attributes(path)
     file, messages = _open(path, header_only=False)
-    parts = [
-        Part(
-            part.name(),
-            {
-                name: Plane(channel.pixels, window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
-                for name, channel in part.channels.items()
-            },
-            window(part.header["displayWindow"]),
-            str(part.header.get("view", "")),
-        )
-        for part in file.parts
-    ]
+    parts = []
+    for part, attributes in zip(file.parts, carried, strict=False):  # their number is checked below
+        data = window(part.header["dataWindow"])
+        planes = {
+            name: Plane(channel.pixels, data, (channel.xSampling, channel.ySampling))
+            for name, channel in part.channels.items()
+        }
+        parts.append(part_of(part.header, planes, attributes))
     # The binding skips parts that it fails to decode.
     if len(parts) < len(headers) or not all(part.planes for part in parts):
         raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
     return parts
+
+
+def part_of(header: Mapping[str, Any], planes: Mapping[str, Plane], attributes: Mapping[str, Attribute]) -> Part:
+    """Return a part of a file by its header, its channels, and the attributes that do not describe its own pixels."""
+    name, view = str(header.get("name", "")), str(header.get("view", ""))
+    aspect = float(header.get("pixelAspectRatio", 1.0))
+    return Part(name, planes, window(header["displayWindow"]), view, aspect, attributes)
 
 
 def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
@@ -238,24 +246,33 @@ def check_same_window(image: Image, names: Sequence[str]) -> None:
             )
 
 
-def gather(image: Image, names: Sequence[str]) -> FloatArray:
-    """Return channels as (H, W, n) float32 in the display window, zero where the data window does not reach."""
-    display = image.display
-    result = np.zeros((display.height, display.width, len(names)), np.float32)
+def gather(image: Image, names: Sequence[str], target: Window | None = None, fill: float = 0.0) -> FloatArray:
+    """Return channels as (H, W, n) float32 in a window, filled where their data windows do not reach.
+
+    Parameters
+    ----------
+    image : Image
+    names : sequence of str
+        Channels, each with every pixel of its own data window.
+    target : Window, optional
+        By default the display window.
+    fill : float
+        What stands where a channel has no pixel.
+    """
+    target = image.display if target is None else target
+    result = np.full((*target.shape, len(names)), fill, np.float32)
     for index, name in enumerate(names):
         plane = image.planes[name]
-        target, source = overlap(display, plane.window)
-        result[(*target, index)] = plane.pixels[source]
+        there, here = overlap(target, plane.window)
+        result[(*there, index)] = plane.pixels[here]
     return result
 
 
-def overlap(display: Window, data: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the rows and columns that two windows share, counted in the one and in the other."""
-    left, right = max(display.left, data.left), min(display.left + display.width, data.left + data.width)
-    top, bottom = max(display.top, data.top), min(display.top + display.height, data.top + data.height)
-    right, bottom = max(left, right), max(top, bottom)
-    shared = [(slice(top - w.top, bottom - w.top), slice(left - w.left, right - w.left)) for w in (display, data)]
-    return shared[0], shared[1]
+def covered(image: Image, name: str, target: Window) -> BoolArray:
+    """Return which pixels (H, W) of a window a channel has."""
+    inside = np.zeros(target.shape, np.bool_)
+    inside[overlap(target, image.planes[name].window)[0]] = True
+    return inside
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------
