@@ -25,10 +25,10 @@ LARGE_COC = 4.0
 LEAST_SIMILARITY = 0.97
 """Of any spreadlet of a large CoC."""
 
-LEAST_SMALL_SIMILARITY = 0.985
+LEAST_SMALL_SIMILARITY = 0.97
 """Of any other: most are drawn in full, all but their faintest pixels."""
 
-MEAN_SIMILARITY = 0.98
+MEAN_SIMILARITY = 0.975
 """Over the sampled spreadlets of large CoC."""
 
 MEAN_SPARSITY = {
