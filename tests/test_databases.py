@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
+from spreadlets.precompute.build.build import build_database
+from spreadlets.precompute.build.work import ALGORITHM_VERSION
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.preparation import split_spike
 from spreadlets.psf.database import open_database
@@ -140,6 +142,30 @@ def measured(request):
 
 def test_there_are_databases_that_ship():
     assert {path.stem for path in SHIPPED} >= {"combined", "simplelens"}
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_databases_that_ship_are_of_the_algorithm_that_ships(path):
+    with open_database(path) as database:
+        assert database.provenance["algorithm_version"] == ALGORITHM_VERSION
+        recorded = database.provenance["between_cells"]["highlight"]
+        assert recorded["mean"] >= 0.98 and recorded["percentile_1"] >= 0.8
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_databases_that_ship_can_be_extended(path, tmp_path):
+    """By nothing: all of it is kept, so that no cell is made anew."""
+    copy = tmp_path / path.name
+    copy.write_bytes(path.read_bytes())
+    made = []
+    with open_database(path) as database:
+        build_database(database.grid.model.name, copy, extend=True, jobs=1, progress=lambda *each: made.append(each))
+        with open_database(copy) as extended:
+            assert not made and np.array_equal(extended.point_start, database.point_start)
+
+
+def test_the_databases_that_ship_are_small():
+    assert sum(path.stat().st_size for path in SHIPPED) < 30e6
 
 
 def test_no_sampled_spreadlet_is_bad(measured):

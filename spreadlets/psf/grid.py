@@ -11,7 +11,6 @@ Everything here is in grid units; `spreadlets.psf.model.PsfGrid` adds the physic
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +21,7 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.psf._grid_kernels import cell_indices
 
 MAX_SIDE_DIFFERENCE = 3
-"""Units of the shortest side by which `nested_shape` may leave the proportions: enough to reach most counts."""
+"""How far the sides of a shape may differ in `nested_shape`: enough to reach most counts, still nearly cubic."""
 
 
 MAX_UNITS = 1 << 22
@@ -156,53 +155,43 @@ def as_coordinates(coordinate: npt.ArrayLike, n_axes: int) -> npt.NDArray[np.flo
     return points
 
 
-def nested_shape(n_cells: int, proportions: Sequence[float]) -> tuple[int, ...]:
-    """Return the shape of about these proportions whose nested grid has ``n_cells`` cells, or else the most below that.
+def nested_shape(n_cells: int, n_axes: int) -> tuple[int, ...]:
+    """Return the nearly cubic shape whose nested grid has ``n_cells`` cells, or else the most cells below that.
 
     Parameters
     ----------
     n_cells : int
         At least 1.
-    proportions : sequence of float
-        Of the sides, one for each axis, each at least 1.
+    n_axes : int
+        At least 1.
 
     Returns
     -------
     tuple of int
-        Sides that differ from the proportions by at most `MAX_SIDE_DIFFERENCE` units of the shortest. Among equals the
-        best proportioned shape, then the one of largest volume, because its last cells are clipped least.
+        Sides in falling order, differing by at most `MAX_SIDE_DIFFERENCE`. Among equals the most cubic shape, then
+        the one of largest volume, because its last cells are clipped least.
 
     Raises
     ------
     InvalidParameterError
-        If there is no axis, or an argument is below 1.
+        If an argument is below 1.
     """
-    if n_cells < 1 or not proportions or min(proportions) < 1:
-        raise InvalidParameterError(
-            f"n_cells and proportions must be at least 1, and not empty: not {n_cells}, {list(proportions)}"
-        )
-
-    def sides(unit: int) -> tuple[int, ...]:
-        return tuple(max(1, math.ceil(proportion * unit)) for proportion in proportions)
-
-    unit = 1
-    while sum(_level_sizes(sides(2 * unit))) <= n_cells:
-        unit *= 2
-    # The count never falls as a side grows: bisect for the largest shape of these proportions that fits.
-    step = unit
+    if n_cells < 1 or n_axes < 1:
+        raise InvalidParameterError(f"n_cells and n_axes must be at least 1, not {n_cells} and {n_axes}")
+    side = 1
+    while sum(_level_sizes((2 * side,) * n_axes)) <= n_cells:
+        side *= 2
+    # The count never falls as a side grows: bisect for the largest cube that fits.
+    step = side
     while step:
-        if sum(_level_sizes(sides(unit + step))) <= n_cells:
-            unit += step
+        if sum(_level_sizes((side + step,) * n_axes)) <= n_cells:
+            side += step
         step //= 2
-    best: tuple[tuple[int, float, int], tuple[int, ...]] = ((1, -math.inf, 1), (1,) * len(proportions))
-    for shortest in range(max(0, unit - MAX_SIDE_DIFFERENCE), unit + 1):
-        longer = [
-            range(side, math.ceil(proportion * (shortest + MAX_SIDE_DIFFERENCE)) + 1)
-            for side, proportion in zip(sides(shortest), proportions, strict=True)
-        ]
-        for shape in itertools.product(*longer):
-            count = sum(_level_sizes(shape))
+    best = ((1, 0, 1), (1,) * n_axes)
+    for smallest in range(max(1, side - MAX_SIDE_DIFFERENCE), side + 1):
+        sides = range(smallest, smallest + MAX_SIDE_DIFFERENCE + 1)
+        for rising in itertools.combinations_with_replacement(sides, n_axes):
+            count = sum(_level_sizes(rising))
             if count <= n_cells:
-                scaled = [side / proportion for side, proportion in zip(shape, proportions, strict=True)]
-                best = max(best, ((count, min(scaled) - max(scaled), math.prod(shape)), shape))
+                best = max(best, ((count, rising[0] - rising[-1], math.prod(rising)), rising[::-1]))
     return best[1]

@@ -46,11 +46,6 @@ COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
 
-COC_PROPORTION = 3.0
-"""Units of CoC radius for each unit of motion. A wrong radius is seen all around a capsule, a wrong length at its ends
-only: at random places in the range, cells in this proportion are closer to the exact PSFs than those of a square grid,
-and fewer of them are hardly more than lines, which take the most points."""
-
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""
 
@@ -84,8 +79,6 @@ class Axis:
         Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
     scales : bool
         Whether the PSF beyond the maximum is the one at the maximum, magnified; if not, it is that one as it is.
-    proportion : float
-        Units of this axis for each unit of the one that has the fewest.
     """
 
     name: str
@@ -94,7 +87,6 @@ class Axis:
     power: float
     floor: float = 0.0
     scales: bool = True
-    proportion: float = 1.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf and 0.0 <= self.floor < self.maximum):
@@ -215,10 +207,7 @@ def _simplelens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) 
 
 def _combined(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens with straight motion; its length is that of the path over the shutter."""
-    axes = (
-        Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc), proportion=COC_PROPORTION),
-        Axis("motion", "px", max_motion, 1.0),
-    )
+    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)), Axis("motion", "px", max_motion, 1.0))
     return PsfModel("combined", axes, 1, True, 400, _stored_symmetry(settings), settings)
 
 
@@ -324,9 +313,8 @@ class PsfGrid:
 
     @classmethod
     def of(cls, model: PsfModel, n_cells: int | None = None) -> "PsfGrid":
-        """Return the grid of ``n_cells`` cells in the model's proportions, by default as many as the model asks for."""
-        proportions = [axis.proportion for axis in model.axes]
-        return cls(model, nested_shape(model.default_cells if n_cells is None else n_cells, proportions))
+        """Return the nearly cubic grid of ``n_cells`` cells, by default as many as the model asks for."""
+        return cls(model, nested_shape(model.default_cells if n_cells is None else n_cells, model.n_axes))
 
     @cached_property
     def nested(self) -> NestedGrid:

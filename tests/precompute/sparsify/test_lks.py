@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from spreadlets.precompute.sparsify import lks as module
 from spreadlets.precompute.sparsify.annealing import anneal
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
-from spreadlets.precompute.sparsify.lks import place_points
+from spreadlets.precompute.sparsify.lks import place_points, with_moments
 from spreadlets.precompute.sparsify.lloyd import collapse, relax
 from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.laplacian import laplacian
@@ -61,7 +61,20 @@ def test_a_psf_of_few_pixels_is_kept_as_pixels():
 def test_the_fit_is_sparser_at_a_higher_similarity():
     published, fitted = (sparsify(DISC, sparsifier=name)[1] for name in ("lks", "fit"))
     assert fitted["ssim"] > published["ssim"] > 0.8
-    assert fitted["energy_error"] < 1e-6 < published["energy_error"] < 0.05
+
+
+def test_the_moments_are_repaired_and_hardly_anything_else():
+    psf = gaussian_filter(np.pad(DISC, 12), 2.0)[..., None]
+    points, value = place_points(psf, 0.5, np.random.default_rng(0))
+    offset = points - np.array(psf.shape[:2]) // 2
+    repaired = with_moments(psf, offset, value)
+    rows, cols = offset.T
+    for power in (rows**0, rows, cols, rows * cols):
+        np.testing.assert_allclose(power @ repaired, 0.0, atol=1e-9)
+    np.testing.assert_allclose([rows**2 @ repaired, cols**2 @ repaired], 2.0, rtol=1e-9)
+    assert max(abs(rows @ value), abs(cols @ value), abs(rows**2 @ value - 2.0)) > 1e-2
+    assert np.abs(repaired - value).max() < 0.05 * np.abs(value).max()
+    assert sparsify(DISC, sparsifier="lks")[1]["energy_error"] < 1e-5
 
 
 def test_equal_seeds_give_equal_spreadlets_and_others_do_not():
