@@ -145,7 +145,7 @@ def slanted_floor(lab: Lab) -> float:
     (4, 8),
     given="a disc in focus before a bright plane 13 px out of focus",
     oracle="the disc, but for two pixels at its edge",
-    budget=DISPLAY_STEP / 2,
+    budget=DISPLAY_STEP,
 )
 def subject_in_focus(lab: Lab, layers: int) -> float:
     """The background does not bleed over it."""

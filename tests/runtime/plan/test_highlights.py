@@ -181,6 +181,6 @@ def test_the_edge_of_a_lamp_in_focus_stays_with_it(small_combined):
     frame = lamp_frame(9.0, light=400.0)
     frame.depth[MIDDLE, MIDDLE] = depth_of(0.0)
     frame.radiance[MIDDLE, MIDDLE + 1, :3] = 100.0
-    image = synthesize(frame, CAMERA, small_combined, layers=1)
+    image = synthesize(frame, CAMERA, small_combined, layers=2)
     assert image[MIDDLE, MIDDLE + 1, 0] > 90.0
     assert image[MIDDLE, MIDDLE - 5, 0] < 0.3, "no disc about it"
