@@ -105,7 +105,7 @@ def synthesize(
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
             view = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
-        _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed, phase=frame.raster.phase)
+        _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
     image = _finished(image, frame.raster, raster, camera, database, options)
     return image, Report.of(clock, plan_figures(tally, database))
 
@@ -216,15 +216,7 @@ def _clamped_samples(passes: list[Pixels], factor: float) -> tuple[list[Pixels],
 
 
 def _add_plan(
-    image: Image,
-    plan: Plan,
-    view: View | None,
-    solver: Solver,
-    clock: Clock,
-    tally: Tally,
-    *,
-    closed: bool,
-    phase: tuple[int, int] = (0, 0),
+    image: Image, plan: Plan, view: View | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
 ) -> None:
     """Put the layers of a plan behind an image, in place."""
     with clock.step("splat"):
@@ -242,13 +234,7 @@ def _add_plan(
             kind = LAST if last else COVERAGE if view is None else view.kind
             least = LEAST_SEEN if view is None else view.least
             add_layer(
-                image,
-                padded,
-                (canvas.top, canvas.left),
-                kind,
-                seen=NOTHING if seen is None else seen,
-                least=least,
-                phase=phase,
+                image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
             )
         tally.add_canvas(canvas, image.shape)
     tally.add_plan(plan, len(used))

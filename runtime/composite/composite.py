@@ -18,14 +18,7 @@ __all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_o
 
 
 def add_layer(
-    image: Image,
-    padded: Image,
-    origin: tuple[int, int],
-    kind: int,
-    *,
-    seen: Image = NOTHING,
-    least: float = LEAST_SEEN,
-    phase: tuple[int, int] = (0, 0),
+    image: Image, padded: Image, origin: tuple[int, int], kind: int, *, seen: Image = NOTHING, least: float = LEAST_SEEN
 ) -> None:
     """Normalise a layer and put it behind an image, in place.
 
@@ -53,12 +46,7 @@ def add_layer(
     seen : ndarray of shape (H, W), float32
     least : float
         Measure from which a pixel stands for itself.
-    phase : tuple of two ints
-        Rows and columns by which the pyramid begins before the image: that of a part of a picture lies as the whole's.
     """
-    if any(phase):
-        _add_layer_later(image, padded, origin, kind, seen=seen, least=least, phase=phase)
-        return
     bound = np.float32(least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
     if not sum(for_bands(_fill_kernels.count_unseen, len(image), *sums, bound, shape)):
@@ -74,27 +62,6 @@ def add_layer(
     for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
         for_bands(_fill_kernels.push, len(fine), fine, coarse, bound)
     for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], bound)
-
-
-def _add_layer_later(
-    image: Image,
-    padded: Image,
-    origin: tuple[int, int],
-    kind: int,
-    *,
-    seen: Image,
-    least: float,
-    phase: tuple[int, int],
-) -> None:
-    """Add a layer to an image with rows and columns before it, of which nothing was seen."""
-    before = (phase[0], 0), (phase[1], 0)
-    larger = np.pad(image, (*before, (0, 0)))
-    known = seen if seen.shape[0] else np.ones(image.shape[:2], np.float32)
-    outside = max(0, -origin[0]), max(0, -origin[1])
-    inner = np.ascontiguousarray(padded[outside[0] :, outside[1] :])
-    later = origin[0] + outside[0] + phase[0], origin[1] + outside[1] + phase[1]
-    add_layer(larger, inner, later, kind, seen=np.pad(known, before), least=least)
-    image[...] = larger[phase[0] :, phase[1] :]
 
 
 def _half_size(image: Image) -> Image:

@@ -11,8 +11,6 @@ import numpy as np
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidFrameError
 
-GRID = 32
-"""Side, px, of the squares of pixels whose place in the picture, and not in the file, decides how they are treated."""
 MOST_ASPECT = 8.0
 """Of a pixel, or of its reciprocal: anamorphic lenses and video formats stay below 2."""
 
@@ -126,11 +124,6 @@ class Raster:
         """From the data window's middle to the display window's centre, columns and rows."""
         x, y = self.centre
         return x - 0.5 * (self.data.width - 1), y - 0.5 * (self.data.height - 1)
-
-    @property
-    def phase(self) -> tuple[int, int]:
-        """Rows and columns from a multiple of `GRID`, counted from the display window's first, to the data window's."""
-        return (self.data.top - self.display.top) % GRID, (self.data.left - self.display.left) % GRID
 
     def reaching(self, window: Window) -> Raster:
         """Return the raster of the same frame in a data window that holds its own."""

@@ -33,18 +33,18 @@ def test_overscan_gives_the_result_of_the_wide_frame(small_combined):
     np.testing.assert_allclose(over, wide, atol=1e-5)
 
 
-@pytest.mark.parametrize(("method", "cut"), [("spreadlets", 40), ("spreadlets", 43), ("dense", 40)])
-def test_a_frame_cut_from_a_wider_one_with_overscan_gives_the_wide_result(small_combined, method, cut):
-    height, width = 176, 224
+@pytest.mark.parametrize("method", ["spreadlets", "dense"])
+def test_a_frame_cut_from_a_wider_one_with_overscan_gives_the_wide_result(small_combined, method):
+    height, width, cut = 208, 256, 64  # what is hidden is filled on a grid of powers of two
     arrays = scene(height, width)
-    display = Window(96, 80, 32, 16)
+    display = Window(112, 96, 32, 16)
     options = Options(method=method)
     wide_raster = Raster(Window(0, 0, width, height), display)
     wide, _ = synthesize(Frame(*arrays, raster=wide_raster), CAMERA, small_combined, options)
     inner = slice(cut, height - cut), slice(cut, width - cut)
     raster = Raster(Window(cut, cut, width - 2 * cut, height - 2 * cut), display)
     over, _ = synthesize(Frame(*(each[inner] for each in arrays), raster=raster), CAMERA, small_combined, options)
-    rows, columns = slice(80 - cut, 96 - cut), slice(96 - cut, 128 - cut)
+    rows, columns = slice(96 - cut, 112 - cut), slice(112 - cut, 144 - cut)
     difference = np.abs(over[rows, columns] - wide[inner][rows, columns]).max()
     assert difference < 1e-5
 
@@ -61,8 +61,9 @@ def test_bokeh_is_round_on_the_sensor(small_combined, aspect):
     radiance[30, 30] = 500
     window = Window(0, 0, 61, 61)
     frame = Frame(radiance, np.full((61, 61), 12.0), raster=Raster(window, window, aspect))
-    image, _ = synthesize(frame, CAMERA, small_combined)
+    camera = replace(CAMERA, f_number=0.25)
+    image, _ = synthesize(frame, camera, small_combined)
     width, height = extent(image, aspect)
-    radius = CAMERA.coc_radius(12.0, 61)
+    radius = camera.coc_radius(12.0, 61)
     assert width == pytest.approx(2 * radius, abs=1.6) and height == pytest.approx(2 * radius * aspect, abs=1.6)
     assert image[..., 0].sum() == pytest.approx(500, rel=0.02)
