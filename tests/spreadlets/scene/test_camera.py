@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from spreadlets.errors import InvalidCameraError, InvalidParameterError
-from spreadlets.scene.camera import MAX_CAMERA_BYTES, ThinLens, read_camera
+from spreadlets.files.cameras import MAX_CAMERA_BYTES, read_camera
+from spreadlets.scene.camera import ThinLens
 
 VALUES = {
     "focal_length_mm": 85.0,
