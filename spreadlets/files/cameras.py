@@ -44,6 +44,9 @@ DESCRIPTIVE_KEYS = frozenset(
 INFINITY_NAMES = ("inf", "infinity")
 """Spellings of a focus at infinity for writers whose JSON has no Infinity (compared in lower case)."""
 
+HALF_A_FRAME = {"shutter": (-0.25, 0.25)}
+"""A shutter of 180 degrees, which is assumed where nothing says otherwise."""
+
 DEFAULT_SENSOR_MM = 36.0
 """Width of a full-frame sensor, which is assumed where nothing says otherwise."""
 
@@ -118,10 +121,10 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
     if isinstance(given.get("shutter"), str):
         given["shutter"] = parse_shutter(given["shutter"])
     if path is None:
-        return _camera(given, "no camera file is given, and", {"shutter": (-0.25, 0.25)})
+        return _camera(given, "the camera", HALF_A_FRAME)
     try:
-        found, lacking = _values_in_file(path, given)
-        return _camera(found | given, lacking, {})
+        found, defaults = _values_in_file(path, given)
+        return _camera(found | given, "", defaults)
     except (InvalidCameraError, InvalidFileError) as error:
         text = str(error)
         raise InvalidCameraError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
@@ -165,7 +168,7 @@ def _camera(found: Mapping[str, Any], lacking: str, defaults: Mapping[str, Any])
     """Return the camera of some values, or raise InvalidCameraError naming what is missing."""
     values = {**defaults, **found}
     missing = [name for name in (*NUMBER_KEYS, "shutter") if name not in values]
-    if missing == ["sensor_width_mm"] or ("sensor_width_mm" in missing and defaults):
+    if "sensor_width_mm" in missing and defaults:
         values["sensor_width_mm"] = DEFAULT_SENSOR_MM
         missing.remove("sensor_width_mm")
         warnings.warn(
@@ -180,17 +183,17 @@ def _camera(found: Mapping[str, Any], lacking: str, defaults: Mapping[str, Any])
     return ThinLens(**values)
 
 
-def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """Return what a file says of a camera, and the start of the message if that is not enough."""
+def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Return what a file says of a camera, and what is assumed where it says nothing."""
     name, prim = _usd_place(os.fspath(path))
     if name is not None:
-        return _usd_values(name, prim), ""
+        return _usd_values(name, prim), HALF_A_FRAME
     if _starts_with(path, EXR_MAGIC):
         found = attribute_values(read_headers(path)[0])
         if not found and not given:
             raise InvalidCameraError("holds no camera attributes that are known")
-        return {"shutter": (-0.25, 0.25)} | found, ""
-    return _json_values(_read_object(Path(path))), ""
+        return found, HALF_A_FRAME
+    return _json_values(_read_object(Path(path))), {}
 
 
 def _starts_with(path: PathLike, magic: bytes) -> bool:

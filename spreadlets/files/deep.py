@@ -368,8 +368,8 @@ def deep_image(
     Returns
     -------
     image : DeepImage
-    dropped : int
-        How many invalid samples were dropped.
+    bad : int
+        How many invalid samples were mended or dropped.
     """
     shape = display.height, display.width
     pixel = _display_pixels(part, data, display)
@@ -390,13 +390,15 @@ def deep_image(
     if "motion" in names:
         motion = to_motion(np.stack([part.channels[name] for name in names["motion"]], axis=1))
     visible = shown & (radiance != 0).any(axis=1)
-    bad = np.zeros(len(depth), np.bool_)
+    bad: npt.NDArray[np.bool_] = np.zeros(len(depth), np.bool_)
+    dropped = bad
     if repair:
+        bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
         depth, depth_back = _mended_depths(depth, depth_back)
         motion = None if motion is None else np.where(np.isfinite(motion).all(axis=1, keepdims=True), motion, 0)
         radiance[:, 3] = np.clip(radiance[:, 3], 0, 1)
-        bad = visible & ~np.isfinite(radiance).all(axis=1)
-    kept = visible & ~bad
+        dropped = ~np.isfinite(radiance).all(axis=1)
+    kept = visible & ~dropped
     counts = np.bincount(pixel[kept], minlength=shape[0] * shape[1]).reshape(shape)
     labels = None if motion is None else motion[kept]
     return DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], labels), int(np.count_nonzero(bad))

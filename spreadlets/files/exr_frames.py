@@ -447,7 +447,8 @@ def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: Re
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{path}: {error}") from None
     if dropped:
-        warnings.warn(f"{path}: {dropped} invalid deep samples were dropped", stacklevel=4)
+        text = f"{path}: {dropped} invalid deep samples were mended, or dropped where the colour is invalid"
+        warnings.warn(text, stacklevel=4)
     return samples
 
 
@@ -480,12 +481,14 @@ def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, in
 def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     """Return one layer of labelled pixels; its errors start with the file's path."""
     found = recognise(image, options, passes)
+    check_same_window(found.colour.image, found.names_in(found.colour.image))
     radiance = _radiance(found.colour, options.unpremultiplied)
     _warn(image, found)
     try:
         stored = _label("depth", found.depth, radiance)[..., 0]
         alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
-        told = options.depth_convention is not None
+        planar_told = options.preset is not None and found.depth.convention == "planar"
+        told = options.depth_convention is not None or planar_told
         if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, alpha, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
         planar = planar_depth(found.depth.convention, stored, options.scale)

@@ -5,22 +5,31 @@ from __future__ import annotations
 import warnings as _warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
-from functools import partial
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from spreadlets.arrays import FloatArray, PathLike
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import SpreadletsError
+from spreadlets.files.conventions import background_places, planar_depth
 from spreadlets.files.exr_chunks import read_deep_part
-from spreadlets.files.exr_frames import deep_header, flat_layers, read_frame, read_passes, recognise_deep
-from spreadlets.files.exr_parts import EXR_MAGIC, Image, is_deep, read_headers
+from spreadlets.files.exr_frames import deep_header, flat_layers, read_frame, read_passes
+from spreadlets.files.exr_parts import EXR_MAGIC, Image, gather, is_deep, read_headers
 from spreadlets.files.exr_samples import read_samples
-from spreadlets.files.recognise import ReadOptions, Recognised, recognise
+from spreadlets.files.recognise import (
+    Colour,
+    Found,
+    Passes,
+    ReadOptions,
+    find_colour,
+    find_depth,
+    find_motion,
+    recognise,
+)
 from spreadlets.files.tlfr import is_tlfr
 from spreadlets.scene.doubts import frame_doubts
-from spreadlets.scene.frame import Frame
+from spreadlets.scene.frame import BACKGROUND_DEPTH, Frame, Layer
 from spreadlets.scene.samples import SampleBuffer
 
 
@@ -62,28 +71,29 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
     parts = [_part_info(header) for header in headers]
     if all({"lens.u", "lens.v", "time"} <= set(part["channels"]) for part in parts):
         return _samples_info(path, parts)
-    warnings, problems, frame = _tried(path, options)
-    layers: list[tuple[Recognised | None, Image]] = []
+    said, problems, frame = _tried(path, options)
     report: dict[str, Any] = {}
-    if any(part["type"] == "deep" for part in parts):
+    deep = any(part["type"] == "deep" for part in parts)
+    if deep:
         index, image = deep_header(path, headers, options)
-        layers.append((_recognised(partial(recognise_deep, image, options)), image))
+        layers = [_pieces(image, options, Passes())]
         counts = read_deep_part(path, index).counts
         report["samples_per_pixel"] = [int(counts.min()), int(counts.max())]
-        kind = "deep"
     else:
         passes = read_passes(options)
-        for image, settings in flat_layers(path, options):
-            layers.append((_recognised(partial(recognise, image, settings, passes)), image))
-        kind = "layers" if len(layers) > 1 else "frame"
-    height, width = layers[0][1].shape
+        layers = [_pieces(image, settings, passes) for image, settings in flat_layers(path, options)]
+    kind = "deep" if deep else "layers" if len(layers) > 1 else "frame"
+    height, width = layers[0].image.shape
     report = {"kind": kind, "width": width, "height": height, "parts": parts} | report
-    if layers[0][1].views:
-        report["views"] = list(layers[0][1].views)
+    if layers[0].image.views:
+        report["views"] = list(layers[0].image.views)
+    shown = [] if frame is None else [frame.layers] if deep else [[layer] for layer in frame.layers]
     report["layers"] = [
-        _layer_info(found) | (_ranges(found, frame, index, kind) if found else {})
-        for index, (found, _) in enumerate(layers)
+        _layer_info(piece) | (_ranges(piece, shown[index], options) if index < len(shown) else {})
+        for index, piece in enumerate(layers)
     ]
+    problems = list(dict.fromkeys([*(text for piece in layers for text in piece.problems), *problems]))
+    warnings = list(dict.fromkeys([*said, *(text for piece in layers for text in piece.doubts)]))
     if options.camera is not None:
         fitted = options.camera.fitted((height, width))
         report["camera"] = {field.name: getattr(fitted, field.name) for field in fields(fitted)}
@@ -111,12 +121,44 @@ def _tried(path: PathLike, options: ReadOptions) -> tuple[list[str], list[str], 
     return said, problems, frame
 
 
-def _recognised(find: Callable[[], Recognised]) -> Recognised | None:
-    """Return what was recognised, or None: the problem is told by reading."""
-    try:
-        return find()
-    except SpreadletsError:
-        return None
+@dataclass(frozen=True)
+class _Pieces:
+    """What was recognised of a layer, as far as it was."""
+
+    image: Image
+    colour: Colour | None
+    depth: Found | None
+    motion: Found | None
+    doubts: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def _pieces(image: Image, options: ReadOptions, passes: Passes) -> _Pieces:
+    """Return what can be recognised, though something else may be missing."""
+    problems: list[str] = []
+
+    def attempt(find: Callable[[], Any]) -> Any:
+        try:
+            return find()
+        except SpreadletsError as error:
+            problems.append(str(error))
+            return None
+
+    whole = attempt(lambda: recognise(image, options, passes))
+    if whole is not None:
+        doubts = tuple(f"{image.path}: {doubt}" for doubt in whole.doubts)
+        return _Pieces(whole.colour.image, whole.colour, whole.depth, whole.motion, doubts, ())
+    problems.clear()
+    view = attempt(lambda: image.of_view(options.view)) or image
+    colour = attempt(lambda: find_colour(view, options, passes.alpha))
+    depth = motion = None
+    if colour is not None:
+        depth = attempt(lambda: find_depth(passes.depth or view, colour, options, alone=passes.depth is not None))
+        motion = attempt(
+            lambda: find_motion(passes.motion or view, colour, options, depth, alone=passes.motion is not None)
+        )
+    doubts = tuple(f"{image.path}: {found.doubt}" for found in (depth, motion) if found is not None and found.doubt)
+    return _Pieces(view, colour, depth, motion, doubts, tuple(problems))
 
 
 def _part_info(header: Mapping[str, Any]) -> dict[str, Any]:
@@ -145,24 +187,19 @@ def _dropped_warning(samples: SampleBuffer) -> list[str]:
     return [f"{samples.dropped_samples} samples are invalid"] if samples.dropped_samples else []
 
 
-def _layer_info(found: Recognised | None) -> dict[str, Any]:
+def _layer_info(found: _Pieces) -> dict[str, Any]:
     """Return what one layer's channels were taken for."""
-    if found is None:
-        return {"colour": None, "depth": None, "motion": None}
     colour, depth, motion = found.colour, found.depth, found.motion
     return {
-        "colour": {"channels": list(colour.names), "alpha": bool(colour.alpha)},
-        "depth": {"channel": depth.channels[0], "convention": depth.convention},
+        "colour": {"channels": list(colour.names), "alpha": bool(colour.alpha)} if colour else None,
+        "depth": {"channel": depth.channels[0], "convention": depth.convention} if depth else None,
         "motion": {"channels": list(motion.channels), "convention": motion.convention} if motion else None,
     }
 
 
-def _ranges(found: Recognised, frame: Frame | None, index: int, kind: str) -> dict[str, Any]:
+def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> dict[str, Any]:
     """Return what one layer's channels were taken for, with the ranges of its visible values in our units."""
     report = _layer_info(found)
-    if frame is None or (kind != "deep" and index >= len(frame.layers)):
-        return report
-    chosen = frame.layers if kind == "deep" else [frame.layers[index]]
     visible = [layer.radiance[..., 3] > 0 for layer in chosen]
 
     def joined(arrays: Sequence[FloatArray]) -> FloatArray:
@@ -172,6 +209,8 @@ def _ranges(found: Recognised, frame: Frame | None, index: int, kind: str) -> di
     report["colour"] |= _range(joined([layer.radiance[..., :3] for layer in chosen]))
     report["depth"] |= {f"{name}_m": value for name, value in _range(depth).items() if name != "not_finite"}
     report["depth"] |= {"background": int(np.count_nonzero(np.isinf(depth)))}
+    if found.depth is not None and found.depth.image.planes[found.depth.channels[0]].pixels.size:
+        report["depth"] |= _bad_depths(found.depth, visible[0], options)
     if found.motion is not None:
         paths = [
             [path for path in (layer.motion, layer.motion_prev, layer.motion_next) if path is not None]
@@ -181,6 +220,18 @@ def _ranges(found: Recognised, frame: Frame | None, index: int, kind: str) -> di
         report["motion"] |= {"longest_px": _range(joined(lengths))["max"] or 0.0}
         report["motion"] |= {"curved": any(layer.motion_prev is not None for layer in chosen)}
     return report
+
+
+def _bad_depths(found: Found, visible: BoolArray, options: ReadOptions) -> dict[str, int]:
+    """Return how many visible pixels of a flat layer have no valid depth, and are counted as background if mended."""
+    stored = gather(found.image, found.channels)[..., 0]
+    planar = planar_depth(found.convention, stored, options.scale)
+    if options.background_depth is not None:
+        planar = np.where(background_places(options.background_depth, stored), BACKGROUND_DEPTH, planar)
+    bad = {"not_a_number": np.isnan(planar), "not_positive": planar <= 0}
+    counts = {name: int(np.count_nonzero(places & visible)) for name, places in bad.items()}
+    background = int(np.count_nonzero(visible & np.isposinf(planar)))
+    return {"background": background} | {name: count for name, count in counts.items() if count}
 
 
 def _range(chosen: FloatArray) -> dict[str, Any]:

@@ -254,6 +254,14 @@ class Recognised:
     motion: Found | None
     doubts: tuple[str, ...]
 
+    def names_in(self, image: Image) -> tuple[str, ...]:
+        """Return every channel that is taken from an image."""
+        names = list(self.colour.channels) if self.colour.image is image else []
+        names += self.colour.alpha if self.colour.alpha_image is image else ()
+        for found in (self.depth, self.motion):
+            names += found.channels if found is not None and found.image is image else ()
+        return tuple(names)
+
 
 def recognise(image: Image, options: ReadOptions, passes: Passes | None = None) -> Recognised:
     """Return the channels of a layer.
@@ -426,10 +434,10 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
         names = ", ".join(item.channels[0] for item in found)
         raise image.problem(f"has several depth channels ({names})", "depth_channel")
     chosen = found[0]
+    if options.depth_convention is not None:
+        chosen = replace(chosen, convention=options.depth_convention, doubt="")
     if best[0] == ELSEWHERE and not alone:
         chosen = replace(chosen, doubt=_elsewhere("depth", chosen, colour, "depth_channel"))
-    if options.depth_convention is not None:
-        return replace(chosen, convention=options.depth_convention)
     return chosen
 
 
@@ -439,7 +447,9 @@ def _given_depth(image: Image, colour: Colour, options: ReadOptions) -> Found:
     name = _named(image, options.depth_channel, "depth_channel")
     known = [item for _, item in _depth_candidates(image, colour, options).values() if item.channels == (name,)]
     found = known[0] if known else Found(image, (name,), "planar")
-    return replace(found, convention=options.depth_convention or found.convention)
+    if options.depth_convention is not None:
+        return replace(found, convention=options.depth_convention, doubt="")
+    return found
 
 
 def _depth_candidates(
@@ -453,6 +463,7 @@ def _depth_candidates(
                 rank = _rank(image, colour, prefix, name)
                 if "." not in row and not _may_be_bare_depth(image, name, rank):
                     continue
+                doubt = _assumed(doubt, "depth_convention")
                 found[rank, table, len(found)] = rank, Found(image, (name,), convention, doubt, prefix)
     return found
 
@@ -507,7 +518,7 @@ def depth_warning(name: str, found: Found, stored: FloatArray, alpha: FloatArray
     alpha : ndarray of shape (H, W) or None
         Where it is 0 the values do not count.
     told : bool
-        Whether the caller named the convention.
+        Whether the caller named the convention, or a renderer that writes planar depth.
     """
     if told:
         return ""
@@ -578,7 +589,7 @@ def _matches(image: Image, colour: Colour, rows: Iterable[MotionRow]) -> list[Fo
     for names, convention, doubt in rows:
         for prefix, group in _groups(image, names):
             rank = _rank(image, colour, prefix, group[0])
-            item = Found(image, group, convention, doubt, prefix)
+            item = Found(image, group, convention, _assumed(doubt, "motion_convention"), prefix)
             if rank == ELSEWHERE:
                 item = replace(item, doubt=_elsewhere("motion", item, colour, "motion_channels"))
             found.setdefault((group, convention), (rank, item))
@@ -618,7 +629,7 @@ def _given_motion(image: Image, channels: tuple[str, ...], rows: Sequence[Motion
         return Found(image, names, convention)
     for row, known, doubt in rows:
         if names in [group for _, group in _groups(image, row)]:
-            return Found(image, names, known, doubt)
+            return Found(image, names, known, _assumed(doubt, "motion_convention"))
     raise image.problem(f"the meaning of {', '.join(names)} is not known", "motion_convention")
 
 
@@ -627,7 +638,8 @@ def _only_motion(image: Image) -> Found:
     for row in (("R", "G"), ("X", "Y"), ("u", "v")):
         groups = _groups(image, row)
         if len(groups) == 1:
-            return Found(image, groups[0][1], "forward-px-up", UNCLEAR.motion_doubt)
+            doubt = _assumed(UNCLEAR.motion_doubt, "motion_convention")
+            return Found(image, groups[0][1], "forward-px-up", doubt)
     raise image.problem("the motion channels are not clear", "motion_channels")
 
 
@@ -692,6 +704,11 @@ def _only_channel(image: Image, spelled: str) -> str:
     if len(names) == 1 or (names and _all_equal(image, names)):
         return names[-1]
     raise image.problem("holds several channels", spelled)
+
+
+def _assumed(doubt: str, spelled: str) -> str:
+    """Return what is said of a convention that had to be assumed."""
+    return f"{doubt}; say {option(spelled)} to choose another or to silence this" if doubt else ""
 
 
 def _elsewhere(what: str, found: Found, colour: Colour, spelled: str) -> str:

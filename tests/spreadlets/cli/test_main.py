@@ -88,7 +88,7 @@ def test_switches_reach_the_result(run, scene, small_combined_path):
     assert not np.allclose(images["--no-motion"], images["--json"], atol=1e-3)
 
 
-def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
+def test_repair_mends_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
     frame = exr.read_frame(scene / "frame.exr")
     depth = frame.depth.copy()
     depth[3, 4:6] = -1.0
@@ -96,7 +96,7 @@ def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combine
     OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(scene / "frame.exr"))
     assert run(*synth_arguments(scene, small_combined_path))[0] == 2
     status, _, err = run(*synth_arguments(scene, small_combined_path), "--repair")
-    assert status == 0 and "2 invalid pixels were dropped" in err
+    assert status == 0 and "2 invalid pixels were mended, 0 dropped" in err
 
 
 def test_several_frames_are_layers(run, scene, small_combined_path):
@@ -307,7 +307,7 @@ def test_for_needs_a_camera_and_a_camera_frames_unless_the_model_depends_on_it(r
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
     assert status == 2 and "only together with the frames" in err
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--for", scene / "frame.exr")
-    assert status == 2 and "--for needs --camera" in err
+    assert status == 2 and "no camera: give --camera FILE" in err
 
 
 def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):

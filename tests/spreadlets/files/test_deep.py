@@ -326,9 +326,11 @@ def test_bad_deep_samples_are_refused_or_dropped_and_empty_ones_ignored(tmp_path
     path = write(tmp_path / "deep.exr", flat, np.ones(SHAPE, np.int64))
     with pytest.raises(InvalidFrameError, match=r"deep\.exr: depth .* at 1 of 23 deep samples, first at \(row 1,"):
         exr.read_frame(path)
-    with pytest.warns(UserWarning, match="1 invalid deep samples were dropped"):
+    with pytest.warns(UserWarning, match="1 invalid deep samples were mended"):
         frame = exr.read_frame(path, repair=True)
-    assert np.count_nonzero(frame.layers[0].radiance[..., 3]) == 22
+    alpha = np.sum([layer.radiance[..., 3] > 0 for layer in frame.layers], axis=0)
+    assert np.count_nonzero(alpha) == 23
+    assert sum(np.count_nonzero(np.isinf(each.depth) & (each.radiance[..., 3] > 0)) for each in frame.layers) == 1
 
 
 @pytest.mark.parametrize(
