@@ -122,7 +122,7 @@ def info(
             raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
         print_figures(_frame_info(target, camera, options), as_json)
         return
-    if not (target.lower().endswith(_DATABASE_SUFFIXES) or os.path.splitext(target)[1] == ""):
+    if os.path.isdir(target) or os.path.splitext(target)[1].lower() not in ("", *_DATABASE_SUFFIXES):
         raise click.UsageError(_no_frame(target))
     given = [name for name in ("camera", *options) if context.get_parameter_source(name) is not _DEFAULT]
     if given:
