@@ -156,7 +156,7 @@ def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[
     lens, problem = None, []
     try:
         if camera or values or frame_camera(path):
-            lens = camera_of(camera, values, path)
+            lens = camera_of(camera, values, path, reading.get("depth_scale", 1.0))
     except InvalidCameraError as error:
         if camera or values:
             raise

@@ -132,7 +132,7 @@ def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in taken.items() if value is not None}
 
 
-def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None) -> Any:
+def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None, scene_scale: float = 1.0) -> Any:
     """Return the camera of a file and single values; without a file, of what the frame itself carries.
 
     Parameters
@@ -143,6 +143,8 @@ def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None
         Single values, which override.
     frame : str, optional
         The frame's file.
+    scene_scale : float
+        Metres of the frame's unit.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None
     from spreadlets.files.cameras import frame_camera, read_camera
 
     if path is None and frame is not None:
-        carried = frame_camera(frame)
+        carried = frame_camera(frame, scene_scale)
         if not carried and not values:
             raise click.UsageError(
                 "no camera: give --camera FILE, or --focal-length, --f-number and --focus; the frame carries none"

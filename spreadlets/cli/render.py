@@ -130,7 +130,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
 
     clock = Clock()
     with clock.step("read"):
-        camera = camera_of(job.camera, job.lens, job.frames[0])
+        camera = camera_of(job.camera, job.lens, job.frames[0], job.reading.get("depth_scale", 1.0))
         options = ReadOptions(**job.reading, camera=camera)
         frame = exr.read_frame(list(job.frames), options=options)
         truth = exr.read_reference(job.reference, options) if job.reference else None

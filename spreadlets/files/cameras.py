@@ -130,13 +130,21 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
         raise InvalidCameraError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
 
 
-def frame_camera(path: PathLike) -> dict[str, Any]:
-    """Return the values of a camera that a frame's own file carries, by the names of `ThinLens`'s parameters."""
+def frame_camera(path: PathLike, scene_scale: float = 1.0) -> dict[str, Any]:
+    """Return the values of a camera that a frame's own file carries, by the names of `ThinLens`'s parameters.
+
+    Parameters
+    ----------
+    path : path
+        An OpenEXR file; any other carries none.
+    scene_scale : float
+        Metres of the scene's unit, as for the depth.
+    """
     try:
         headers = read_headers(path)
     except InvalidFileError:
         return {}
-    return attribute_values(headers[0])
+    return attribute_values(headers[0], scene_scale)
 
 
 def parse_shutter(text: str) -> tuple[float, float]:
@@ -266,6 +274,14 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
 # --- OpenEXR -------------------------------------------------------------------------------------------------------
 
 
+SCENE = 0.0
+"""Stands for the metres of the scene's unit, which is the depth's, too."""
+
+MM_PER_INCH = 25.4
+SMALLEST_FILM_MM = 4.0
+"""Film below this is counted in inches: no sensor is as small."""
+
+
 @dataclass(frozen=True)
 class AttributeRow:
     """How a program's header attributes hold one value of a camera.
@@ -275,9 +291,10 @@ class AttributeRow:
     pattern : str
         Regular expression of the attribute's whole name, in lower case.
     value : str
-        Parameter of `ThinLens`, or ``shutter_degrees``, ``field_of_view`` (horizontal, degrees) or ``sensor_size``.
+        Parameter of `ThinLens`, or ``shutter_degrees``, ``field_of_view`` (horizontal, degrees), ``sensor_size`` or
+        ``film_width`` (mm or inches).
     factor : float
-        What one unit is in the parameter's unit.
+        What one unit is in the parameter's unit, or `SCENE`.
     """
 
     pattern: str
@@ -287,7 +304,9 @@ class AttributeRow:
 
 ATTRIBUTES = (
     # OpenEXR's standard attributes.
-    AttributeRow("effectivefocallength|pinholefocallength|nominalfocallength", "focal_length_mm"),
+    AttributeRow("effectivefocallength", "focal_length_mm"),
+    AttributeRow("pinholefocallength", "focal_length_mm"),
+    AttributeRow("nominalfocallength", "focal_length_mm"),
     AttributeRow("aperture", "f_number"),
     AttributeRow("focus", "focus_distance_m"),
     AttributeRow("sensoroveralldimensions", "sensor_size"),
@@ -302,8 +321,13 @@ ATTRIBUTES = (
     AttributeRow(r"unreal/(camera/)?(.*/)?fov", "field_of_view"),
     # V-Ray: camera..., lengths in mm; what it does not write is the lens's opening in f-stops.
     AttributeRow("camerafocallength", "focal_length_mm"),
-    AttributeRow("camera(aperture|filmwidth)", "sensor_width_mm"),
+    AttributeRow("cameraaperture", "sensor_width_mm"),
     AttributeRow("camerafnumber", "f_number"),
+    AttributeRow("camera(focus|target)distance", "focus_distance_m", SCENE),
+    # Arnold from Maya, which counts film in inches.
+    AttributeRow("camerafilmaperturehorizontal", "film_width"),
+    # Blender's stamp.
+    AttributeRow("lens", "focal_length_mm"),
     AttributeRow("camerafov", "field_of_view"),
     # Redshift and Arnold write what their cameras' parameters are called.
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(focal_?length|focallength)", "focal_length_mm"),
@@ -311,19 +335,23 @@ ATTRIBUTES = (
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(sensor_?width|horizontal_?aperture)", "sensor_width_mm"),
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(shutter_?angle)", "shutter_degrees"),
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?fov", "field_of_view"),
+    AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?aperture", "sensor_size"),
+    AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(dof_?)?focus_?distance", "focus_distance_m", SCENE),
 )
 """Header attributes by program; the first row that a file has for a value counts."""
 
 NOTE_NAMES = ("note", "blendernote")
 
 
-def attribute_values(header: Mapping[str, Any]) -> dict[str, Any]:
+def attribute_values(header: Mapping[str, Any], scene_scale: float = 1.0) -> dict[str, Any]:
     """Return the values of a camera that the attributes of an OpenEXR header hold.
 
     Parameters
     ----------
     header : mapping
         A part's header.
+    scene_scale : float
+        Metres of the scene's unit, in which some programs write the focus.
 
     Returns
     -------
@@ -335,8 +363,11 @@ def attribute_values(header: Mapping[str, Any]) -> dict[str, Any]:
     for row in ATTRIBUTES:
         for name, value in lowered.items():
             if row.value not in raw and re.fullmatch(row.pattern, name) and (number := _number(value)) is not None:
-                raw[row.value] = number if row.value == "sensor_size" else number * row.factor
+                raw[row.value] = number * (row.factor if row.factor != SCENE else abs(scene_scale))
     found = {name: raw[name] for name in (*NUMBER_KEYS, "sensor_height_mm") if raw.get(name, 0.0) > 0}
+    if "film_width" in raw:
+        inches = raw["film_width"] < SMALLEST_FILM_MM
+        found.setdefault("sensor_width_mm", raw["film_width"] * (MM_PER_INCH if inches else 1))
     if "sensor_size" in raw:
         found.setdefault("sensor_width_mm", raw["sensor_size"])
     if "shutter_degrees" in raw:

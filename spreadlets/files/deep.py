@@ -393,7 +393,8 @@ def deep_image(
     bad: npt.NDArray[np.bool_] = np.zeros(len(depth), np.bool_)
     dropped = bad
     if repair:
-        bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
+        for places in _problems(radiance, depth, depth_back, motion).values():
+            bad = bad | (places & visible)
         depth, depth_back = _mended_depths(depth, depth_back)
         motion = None if motion is None else np.where(np.isfinite(motion).all(axis=1, keepdims=True), motion, 0)
         radiance[:, 3] = np.clip(radiance[:, 3], 0, 1)
