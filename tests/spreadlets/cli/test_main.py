@@ -1,7 +1,6 @@
 """The command line as scripts call it: JSON on standard output, one line for an error, nothing half-written."""
 
 import json
-import sys
 from pathlib import Path
 
 import h5py
@@ -21,22 +20,6 @@ CAMERA = {
     "focus_distance_m": 4.0,
     "shutter_open_close_frames": [-0.25, 0.25],
 }
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, recwarn):
-    def run_command(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spreadlets", *map(str, arguments)])
-        monkeypatch.setattr("warnings.showwarning", None)
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            status = stop.code
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run_command
 
 
 @pytest.fixture

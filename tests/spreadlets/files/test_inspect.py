@@ -98,3 +98,36 @@ def test_other_files_are_no_frames(tmp_path):
     assert not is_frame_file(tmp_path / "x") and not is_frame_file(tmp_path / "absent") and not is_frame_file(tmp_path)
     with pytest.raises(InvalidFileError, match="is an HDF5 file, such as a database"):
         frame_info(tmp_path / "x")
+
+
+def test_info_lists_what_reading_refuses_and_counts_background_and_nan_apart(tmp_path):
+    depth = np.full(SHAPE, 3, np.float32)
+    depth[0, :2], depth[1, :3], depth[2, 0] = np.inf, np.nan, -1
+    planes = {name: np.full(SHAPE, 0.5, np.float32) for name in "RGB"} | {"Z": depth}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "f.exr"))
+    report = frame_info(tmp_path / "f.exr")
+    (problem,) = report["problems"]
+    with pytest.raises(sp.errors.InvalidFrameError) as error:
+        sp.read_frame(tmp_path / "f.exr")
+    assert problem == str(error.value) and "depth is NaN at 3" in problem
+    found = report["layers"][0]["depth"]
+    assert (found["background"], found["not_a_number"], found["not_positive"]) == (2, 3, 1)
+    repaired = frame_info(tmp_path / "f.exr", ReadOptions(repair=True))
+    assert repaired["problems"] == [] and any("4 invalid pixels are mended" in text for text in repaired["warnings"])
+
+
+def test_info_shows_the_camera_fitted_to_the_frame_and_doubts_it(tmp_path):
+    sp.write_frame(tmp_path / "f.exr", sp.Frame(np.ones((9, 6, 3)), np.full((9, 6), 300.0)))
+    camera = ThinLens(50, 36, 2.0, 3.0, sensor_fit="auto")
+    report = frame_info(tmp_path / "f.exr", ReadOptions(camera=camera))
+    assert report["camera"]["sensor_width_mm"] == 24
+    assert any("the focus is at 3 m" in warning for warning in report["warnings"])
+
+
+def test_ranges_of_deep_files_are_shown(tmp_path):
+    n = 24
+    z = np.linspace(2, 9, n, dtype=np.float32)
+    image = DeepImage(np.ones(SHAPE, np.int64), np.ones((n, 4), np.float32), z, z)
+    sp.write_deep(tmp_path / "deep.exr", image)
+    depth = frame_info(tmp_path / "deep.exr")["layers"][0]["depth"]
+    assert (depth["min_m"], depth["max_m"]) == (2, 9)
