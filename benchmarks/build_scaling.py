@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from spreadlets.files.cameras import read_camera
 from spreadlets.precompute.build.build import build_database, model_grid
 from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
 from spreadlets.psf.model import PsfGrid
-from spreadlets.scene.camera import read_camera
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = Path(__file__).parent / "results"

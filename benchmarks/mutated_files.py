@@ -434,7 +434,7 @@ def read_lens_file(path: Path, original: Path) -> None:
 
 
 def read_camera_file(path: Path, original: Path) -> None:
-    from spreadlets.scene.camera import read_camera
+    from spreadlets.files.cameras import read_camera
 
     camera, content = read_camera(path), json.loads(path.read_bytes())
     for key in ("focal_length_mm", "sensor_width_mm", "f_number"):

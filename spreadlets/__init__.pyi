@@ -4,6 +4,7 @@ from . import models as models
 from .api import build_database as build_database
 from .api import reconstruct as reconstruct
 from .api import synthesize as synthesize
+from .files.cameras import read_camera as read_camera
 from .files.deep import DeepImage as DeepImage
 from .files.deep import write_deep as write_deep
 from .files.exr_frames import read_frame as read_frame
@@ -13,11 +14,11 @@ from .files.exr_samples import read_samples as read_samples
 from .files.exr_samples import write_samples as write_samples
 from .files.images import write_image as write_image
 from .files.images import write_png as write_png
+from .files.recognise import ReadOptions as ReadOptions
 from .files.tlfr import write_tlfr as write_tlfr
 from .psf.database import Database as Database
 from .psf.database import open_database as open_database
 from .scene.camera import ThinLens as ThinLens
-from .scene.camera import read_camera as read_camera
 from .scene.frame import Frame as Frame
 from .scene.samples import SampleBuffer as SampleBuffer
 from .version import __version__ as __version__

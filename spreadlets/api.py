@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError
 from spreadlets.models import Model, option_names
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import refusing
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.doubts import frame_doubts, sample_doubts
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
@@ -115,6 +117,11 @@ def synthesize(
     InvalidDatabaseError
         If the database cannot be used.
 
+    Warns
+    -----
+    AmbiguousInputWarning
+        If values do not fit each other, such as a focus far outside the frame's depths.
+
     Examples
     --------
     A lamp, 4 m away, seen by a camera that is focused at 2 m, becomes a disc; its light is kept:
@@ -136,6 +143,8 @@ def synthesize(
 
     chosen = Options.of(**options)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
+    _warn(frame_doubts(layered, camera))
+    camera = camera.fitted(layered.shape)
     moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
         image, figures = render.synthesize(layered, camera, opened, chosen, clock, *_psfs(opened, chosen))
@@ -241,6 +250,8 @@ def reconstruct(
 
     method = options.get("method", "spreadlets")
     check_method(method, RECONSTRUCTION_METHODS)
+    _warn(sample_doubts(samples, camera))
+    camera = camera.fitted(samples.shape)
     if settings and method not in LAYERED_METHODS:
         raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
     if method not in METHODS:
@@ -305,6 +316,12 @@ def tune_layered_methods() -> dict[str, Any]:
     return {"file": str(sizes.save()), "work_sizes": vars(sizes), "time_ms": times}
 
 
+def _warn(doubts: Sequence[str]) -> None:
+    """Warn the caller of a public function of each doubt."""
+    for doubt in doubts:
+        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=3)
+
+
 def _psfs(opened: Database, options: Options) -> tuple[DensePsfs | None, ExactPsf | None]:
     """Return where methods that draw PSFs in full take them from, and what makes the PSFs of highlights."""
     from spreadlets.precompute.models.registry import exact_psf
@@ -365,6 +382,8 @@ def build_database(
         options = model.options() | options
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
+    if frames and camera is not None:
+        camera = camera.fitted(frames[0].shape)
     extend = bool(options.get("extend"))
     if camera is not None and "camera" in option_names(name) and not extend:
         options["camera"] = camera

@@ -1,4 +1,10 @@
-"""The exception hierarchy: every refusal of bad input is one of these."""
+"""The exception hierarchy: every refusal of bad input is one of these; and how messages spell the names of options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class SpreadletsError(ValueError):
@@ -38,3 +44,34 @@ class BuildStoppedError(SpreadletsError):
 
 class AmbiguousInputWarning(UserWarning):
     """An image file's depth or motion can be read in several ways; the message says which was taken, and the remedy."""
+
+
+_SPELLING: ContextVar[Callable[[str], str]] = ContextVar("spelling", default=str)
+
+
+def option(name: str) -> str:
+    """Return the name of an option as the caller would type it: ``depth_channel`` in Python, unless told otherwise.
+
+    Examples
+    --------
+    >>> option("depth_channel")
+    'depth_channel'
+    """
+    return _SPELLING.get()(name)
+
+
+@contextmanager
+def options_spelled(spelling: Callable[[str], str]) -> Iterator[None]:
+    """Let messages spell options in another way within the block, such as ``--depth-channel``.
+
+    Examples
+    --------
+    >>> with options_spelled(lambda name: "--" + name.replace("_", "-")):
+    ...     option("depth_channel")
+    '--depth-channel'
+    """
+    token = _SPELLING.set(spelling)
+    try:
+        yield
+    finally:
+        _SPELLING.reset(token)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import click
 import cloup
 
-from spreadlets.cli.options import input_options, input_settings, json_option
+from spreadlets.cli.options import camera_of, camera_options, input_options, json_option, take_camera, take_reading
 from spreadlets.cli.show import print_figures, progress_bar
+
+_DATABASE_SUFFIXES = (".h5", ".hdf5")
 
 _DEFAULT = click.core.ParameterSource.DEFAULT
 
@@ -40,19 +43,20 @@ _DEFAULT = click.core.ParameterSource.DEFAULT
 @cloup.option("--obstruction", type=float, help="... radius of a central obstruction, radii.")
 @cloup.option("--shutter-curve", help="combined: openness over time (0,1,1,0.5) or trapezoid:RISE,FALL.")
 @cloup.option("--for", "frame_paths", multiple=True, help="Build only what this frame uses (EXR; can be repeated).")
-@cloup.option("--camera", "camera_path", help="Camera file (JSON): of those frames; for physicallens and volume.")
 @cloup.option("--jobs", type=click.IntRange(min=1), help="Processes (default: all cores).")
 @cloup.option("--scheduler", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler (HOST:PORT).")
 @cloup.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random choices.")
 @cloup.option("--extend", is_flag=True, help="Widen the database OUTPUT: its range, its density, or for more frames.")
 @cloup.option("--log", type=click.Path(dir_okay=False), help="Add a line for each finished cell to this file.")
+@camera_options
+@input_options
 @json_option
 def build(
     model: str,
     output: str,
     density: str | None,
     frame_paths: tuple[str, ...],
-    camera_path: str | None,
+    camera: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -70,18 +74,18 @@ def build(
     from spreadlets.api import build_database
     from spreadlets.files.exr_frames import read_frame
     from spreadlets.files.outputs import check_outputs
+    from spreadlets.files.recognise import ReadOptions
     from spreadlets.psf.database import open_database
-    from spreadlets.scene.camera import read_camera
 
     log = [options["log"]] if options["log"] else []
-    reads = [*frame_paths, *filter(None, (camera_path, options["lens"], options["image"]))]
+    reads = [*frame_paths, *filter(None, (camera, options["lens"], options["image"]))]
     check_outputs([output, *log], reads)
-    if frame_paths and not camera_path:
-        raise click.UsageError("--for needs --camera, too")
-    if camera_path:
-        options["camera"] = read_camera(camera_path)
+    reading, lens = take_reading(options), take_camera(options)
+    if frame_paths or camera or lens:
+        options["camera"] = camera_of(camera, lens, frame_paths[0] if frame_paths else None)
     if frame_paths:
-        options["frames"] = [read_frame(path) for path in frame_paths]
+        chosen = ReadOptions(**reading, camera=options["camera"])
+        options["frames"] = [read_frame(path, options=chosen) for path in frame_paths]
     with progress_bar(f"building {model}", quiet=as_json) as progress:
         build_database(model, output, density=float(density) if density else None, progress=progress, **options)
     with open_database(output) as database:
@@ -93,7 +97,7 @@ def build(
 @cloup.option("--plot", type=click.Path(dir_okay=False), help="Draw histograms and the worst cells of a DB (PNG).")
 @cloup.option("--verify", is_flag=True, help="Check every cell of a DB against its recorded figures; takes a while.")
 @cloup.option("--jobs", type=click.IntRange(min=1), help="Processes for --verify (default: all cores).")
-@cloup.option("--camera", "camera_path", type=click.Path(dir_okay=False), help="Camera file (JSON) of a frame.")
+@camera_options
 @input_options
 @json_option
 @click.pass_context
@@ -104,14 +108,14 @@ def info(
     plot: str | None,
     verify: bool,
     jobs: int | None,
-    camera_path: str | None,
+    camera: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Show what a database holds and how good it is (a file or a shipped name), or how a frame would be read.
 
-    Of a frame: size, parts, what was recognised as colour, depth and motion, by which convention, and the ranges of
-    values.
+    Of a frame: size, parts, what was recognised as colour, depth and motion, by which convention, the ranges of values,
+    the camera that would be used, and what synth would warn of or refuse.
 
     Example: spreadlets info frame.exr --preset nuke
     """
@@ -120,9 +124,11 @@ def info(
     if is_frame_file(target):
         if plot or verify:
             raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
-        print_figures(_frame_info(target, camera_path, options), as_json)
+        print_figures(_frame_info(target, camera, options), as_json)
         return
-    given = [name for name in ("camera_path", *options) if context.get_parameter_source(name) is not _DEFAULT]
+    if os.path.isdir(target) or os.path.splitext(target)[1].lower() not in ("", *_DATABASE_SUFFIXES):
+        raise click.UsageError(_no_frame(target))
+    given = [name for name in ("camera", *options) if context.get_parameter_source(name) is not _DEFAULT]
     if given:
         raise click.UsageError(
             f"{target} is no frame: --camera and the options of reading a frame are not for databases"
@@ -132,16 +138,36 @@ def info(
     _database_info(target, plot, as_json, (verify, jobs))
 
 
-def _frame_info(path: str, camera_path: str | None, options: dict[str, Any]) -> dict[str, Any]:
-    from spreadlets.files.conventions import Scale
+def _no_frame(path: str) -> str:
+    """Return what is wrong with a file that is neither a frame nor a database."""
+    if not os.path.exists(path):
+        return f"{path}: there is no such file"
+    if os.path.isdir(path):
+        return f"{path}: is a folder"
+    from spreadlets.files.exr_parts import other_kind
+
+    kind = other_kind(path) or "neither an OpenEXR file nor a database"
+    return f"{path}: is {kind}; frames are OpenEXR, databases HDF5"
+
+
+def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[str, Any]:
+    from spreadlets.errors import InvalidCameraError
+    from spreadlets.files.cameras import frame_camera
     from spreadlets.files.inspect import frame_info
     from spreadlets.files.recognise import ReadOptions
-    from spreadlets.scene.camera import read_camera
 
-    settings = input_settings(options)
-    camera = read_camera(camera_path) if camera_path else None
-    scale = Scale(camera, *(settings.pop(name) for name in ("depth_scale", "baseline_m", "max_displacement")))
-    return frame_info(path, ReadOptions(**settings, scale=scale))
+    reading, values = take_reading(options), take_camera(options)
+    lens, problem = None, []
+    try:
+        if camera or values or frame_camera(path):
+            lens = camera_of(camera, values, path, reading.get("depth_scale", 1.0))
+    except InvalidCameraError as error:
+        if camera or values:
+            raise
+        problem = [f"the camera that the frame carries: {error}"]
+    report = frame_info(path, ReadOptions(**reading, camera=lens))
+    report["problems"] = [*report["problems"], *problem]
+    return report
 
 
 def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:

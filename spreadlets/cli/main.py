@@ -11,8 +11,9 @@ import click
 import cloup
 
 from spreadlets.cli import databases, render, reports, setup
+from spreadlets.cli.options import spelled
 from spreadlets.cli.status import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_INTERRUPTED
-from spreadlets.errors import BuildStoppedError, SpreadletsError
+from spreadlets.errors import BuildStoppedError, SpreadletsError, options_spelled
 from spreadlets.version import __version__
 
 
@@ -49,7 +50,8 @@ def main() -> None:
     logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
     logging.getLogger("spreadlets").setLevel(logging.INFO)
     try:
-        cli.main(standalone_mode=False)
+        with options_spelled(spelled):
+            cli.main(standalone_mode=False)
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)

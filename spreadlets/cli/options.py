@@ -45,14 +45,23 @@ input_options = cloup.option_group(
     cloup.option(
         "--preset", type=TableChoice("spreadlets.files.conventions", "PRESETS"), help="The renderer that wrote it."
     ),
-    cloup.option("--colour-layer", help="Name of the colour layer, if there are several."),
-    cloup.option("--depth-channel", help="Name of the depth channel, if it is not recognised."),
+    cloup.option("--view", help="View of a stereo file (default: the hero view)."),
+    cloup.option("--colour-layer", metavar="NAME,...", help="Colour layer; several are depth layers, nearest first."),
+    cloup.option("--alpha-channel", help="Name of the alpha channel."),
+    cloup.option("--depth-channel", help="Name of the depth channel."),
     cloup.option(
         "--depth-convention",
         type=TableChoice("spreadlets.files.conventions", "DEPTH_CONVENTIONS"),
         help="planar, ray (distance along the ray), inverse (1/depth) or disparity.",
     ),
-    cloup.option("--depth-scale", type=float, default=1.0, show_default=True, help="Metres per unit of depth."),
+    cloup.option(
+        "--depth-scale",
+        type=float,
+        default=1.0,
+        show_default=True,
+        help="Metres per unit of depth; below 0 turns the sign.",
+    ),
+    cloup.option("--background-depth", metavar="VALUE", help="Depth of background: a number, nan, <X or >X."),
     cloup.option("--baseline", "baseline_m", type=float, help="Distance of the two cameras, metres, for disparity."),
     cloup.option("--motion-channels", help="Names of the motion channels, separated by commas; none ignores them."),
     cloup.option(
@@ -63,15 +72,95 @@ input_options = cloup.option_group(
     ),
     cloup.option("--max-displacement", type=float, help="Motion in px at the end of a normalised range."),
     cloup.option("--unpremultiplied", is_flag=True, help="The colours are not multiplied by alpha."),
+    *(
+        cloup.option(f"--{name}", f"{name}_file", metavar="FILE[:CHANNELS]", help=f"File of the {what}, if apart.")
+        for name, what in (("depth", "depth"), ("motion", "motion"), ("alpha", "alpha"))
+    ),
+    cloup.option("--deep-layers", "max_layers", type=click.IntRange(min=1), help="Most layers of a deep image (8)."),
+    cloup.option("--repair", is_flag=True, help="Mend pixels with invalid values instead of refusing the frame."),
 )
 """How to read a frame."""
 
+SPELLED = {
+    "baseline_m": "--baseline",
+    "max_layers": "--deep-layers",
+    "depth_file": "--depth",
+    "motion_file": "--motion",
+    "alpha_file": "--alpha",
+    "focal_length_mm": "--focal-length",
+    "sensor_width_mm": "--sensor-width",
+    "focus_distance_m": "--focus",
+}
+"""Options that are not called after the parameter that they set."""
 
-def input_settings(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of reading a frame as `read_frame` takes them."""
-    names = options["motion_channels"]
-    channels = () if names == "none" else tuple(names.split(",")) if names else None
-    return options | {"motion_channels": channels}
+READ_NAMES = tuple(
+    "preset view colour_layer alpha_channel depth_channel depth_convention depth_scale background_depth baseline_m "
+    "motion_channels motion_convention max_displacement unpremultiplied depth_file motion_file alpha_file max_layers "
+    "repair".split()
+)
+CAMERA_NAMES = ("focal_length_mm", "sensor_width_mm", "sensor_fit", "f_number", "focus_distance_m", "shutter")
+
+
+def spelled(name: str) -> str:
+    """Return an option as it is typed, of the parameter that it sets."""
+    return SPELLED.get(name, "--" + name.replace("_", "-"))
+
+
+def take_reading(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of reading a frame out of a command's, as `ReadOptions` takes them; what is not given is not."""
+    taken = {name: options.pop(name) for name in READ_NAMES if name in options}
+    taken = {name: value for name, value in taken.items() if value is not None}
+    if names := taken.get("motion_channels"):
+        taken["motion_channels"] = () if names == "none" else _listed(names)
+    if "," in (layer := taken.get("colour_layer", "")):
+        taken["colour_layer"] = _listed(layer)
+    for name, channels in (("depth", "depth_channel"), ("alpha", "alpha_channel"), ("motion", "motion_channels")):
+        path, colon, chosen = taken.get(f"{name}_file", "").rpartition(":")
+        if colon and len(path) > 1:  # a single letter is a drive
+            taken[f"{name}_file"] = path
+            taken[channels] = _listed(chosen) if name == "motion" else chosen
+    return taken
+
+
+def _listed(names: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in names.split(","))
+
+
+def take_camera(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the single values of a camera out of a command's options; what is not given is not."""
+    taken = {name: options.pop(name) for name in CAMERA_NAMES if name in options}
+    return {name: value for name, value in taken.items() if value is not None}
+
+
+def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None, scene_scale: float = 1.0) -> Any:
+    """Return the camera of a file and single values; without a file, of what the frame itself carries.
+
+    Parameters
+    ----------
+    path : str or None
+        The camera's file.
+    values : dict
+        Single values, which override.
+    frame : str, optional
+        The frame's file.
+    scene_scale : float
+        Metres of the frame's unit.
+
+    Raises
+    ------
+    InvalidCameraError
+        If they do not make a camera.
+    """
+    from spreadlets.files.cameras import frame_camera, read_camera
+
+    if path is None and frame is not None:
+        carried = frame_camera(frame, scene_scale)
+        if not carried and not values:
+            raise click.UsageError(
+                "no camera: give --camera FILE, or --focal-length, --f-number and --focus; the frame carries none"
+            )
+        values = carried | values
+    return read_camera(path, **values)
 
 
 def splatting_options(*, layers: str, fireflies: str) -> Callable[[Command], Command]:
@@ -99,9 +188,21 @@ def splatting_options(*, layers: str, fireflies: str) -> Callable[[Command], Com
 
 camera_options = cloup.option_group(
     "Camera",
-    cloup.option("--camera", required=True, type=click.Path(dir_okay=False), help="Camera file (JSON)."),
+    cloup.option(
+        "--camera", metavar="FILE", help="JSON, OpenEXR with camera attributes, or USD[:/PRIM] (default: the frame's)."
+    ),
+    cloup.option("--focal-length", "focal_length_mm", type=float, metavar="MM", help="Focal length."),
+    cloup.option("--sensor-width", "sensor_width_mm", type=float, metavar="MM", help="Sensor's width (default: 36)."),
+    cloup.option(
+        "--sensor-fit",
+        type=click.Choice(["horizontal", "vertical", "auto"]),
+        help="Side of the frame that the sensor spans; auto is the longer.",
+    ),
+    cloup.option("--f-number", type=float, metavar="N", help="Focal length over aperture."),
+    cloup.option("--focus", "focus_distance_m", type=float, metavar="M", help="Distance in focus, metres."),
+    cloup.option("--shutter", metavar="ANGLE|OPEN,CLOSE", help="180deg, or times in frames (default: 180deg)."),
 )
-"""Which lens and shutter."""
+"""Which lens and shutter; single values override those of the file."""
 
 
 def effect_options(verb: str) -> Callable[[Command], Command]:

@@ -15,13 +15,15 @@ import cloup
 
 from spreadlets.cli.options import (
     TableChoice,
+    camera_of,
     camera_options,
     effect_options,
     input_options,
-    input_settings,
     json_option,
     output_options,
     splatting_options,
+    take_camera,
+    take_reading,
 )
 from spreadlets.cli.show import print_figures, progress_bar
 from spreadlets.cli.status import EXIT_FAILURE
@@ -33,7 +35,8 @@ class _Job(NamedTuple):
 
     frames: Sequence[str]
     output: str
-    camera: str
+    camera: str | None
+    lens: dict[str, Any]
     reference: str | None
     reading: dict[str, Any]
     rendering: dict[str, Any]
@@ -46,7 +49,8 @@ class _Job(NamedTuple):
         from spreadlets.files.outputs import check_outputs
 
         database = self.rendering["database"]
-        others = (self.camera, self.reference, database if isinstance(database, str) else None)
+        passes = [value for name, value in self.reading.items() if name.endswith("_file")]
+        others = (self.camera, self.reference, *passes, database if isinstance(database, str) else None)
         if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
             raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
         check_outputs([self.output], [*self.frames, *filter(None, others)])
@@ -78,11 +82,6 @@ class _Job(NamedTuple):
 )
 @input_options
 @cloup.option_group(
-    "Deep images and invalid values",
-    cloup.option("--deep-layers", "max_layers", type=click.IntRange(min=1), help="Most layers made (default: 8)."),
-    cloup.option("--repair", is_flag=True, help="Drop pixels with invalid values instead of refusing the frame."),
-)
-@cloup.option_group(
     "Sequences",
     cloup.option("--frames", "numbers", help="Frames to make, such as 1-24, 1-24x2 or 1,5,9-12 (default: all)."),
     cloup.option("--overwrite", is_flag=True, help="Make frames again whose results exist."),
@@ -91,7 +90,7 @@ class _Job(NamedTuple):
 def synth(
     frames: tuple[str, ...],
     output: str,
-    camera: str,
+    camera: str | None,
     reference: str | None,
     numbers: str | None,
     overwrite: bool,
@@ -111,13 +110,13 @@ def synth(
     from spreadlets.files.sequence import is_pattern, listed, numbered
     from spreadlets.runtime.options import RENDER_OPTIONS
 
+    reading, lens = take_reading(options), take_camera(options)
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
-    reading = {name: value for name, value in input_settings(options).items() if value is not None}
     layers = tuple(name.strip() for name in also.split(",")) if also else ()
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, reference, reading, rendering, layers, pass_through)
+        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through)
         job.check()
         print_figures(_synthesise(job), as_json)
         return
@@ -128,13 +127,16 @@ def synth(
             truth = numbered(reference, number) if reference else None
             name, motion = rendering["database"], rendering["motion"]
             chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
-            job = _Job(inputs, path, numbered(camera, number), truth, reading, chosen, layers, pass_through)
+            apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
+            shot = numbered(camera, number) if camera else None
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
         others = [each for each in (camera, reference) if each]
-        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
+        passes = [value for key, value in reading.items() if key.endswith("_file") and value]
+        reads = [*frames, *others, *passes, *([rendering["database"]] if rendering["database"] else [])]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
@@ -151,20 +153,22 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
+    from spreadlets.files.recognise import ReadOptions
     from spreadlets.runtime.clock import Clock
-    from spreadlets.scene.camera import read_camera
     from spreadlets.scene.raster import placed
 
     clock = Clock()
     with clock.step("read"):
-        camera = read_camera(job.camera)
-        frame = exr.read_frame(list(job.frames), camera=camera, **job.reading)
-        truth = exr.read_image(job.reference) if job.reference else None
+        camera = camera_of(job.camera, job.lens, job.frames[0], job.reading.get("depth_scale", 1.0))
+        options = ReadOptions(**job.reading, camera=camera)
+        frame = exr.read_frame(list(job.frames), options=options)
+        truth = exr.read_reference(job.reference, options) if job.reference else None
     database = job.rendering["database"]
     rendering = job.rendering | {"database": database(frame) if callable(database) else database}
     image, report = synthesize(frame, camera, **rendering, report=True, clock=clock)
-    if frame.dropped_pixels:
-        warnings.warn(f"{frame.dropped_pixels} invalid pixels were dropped", stacklevel=1)
+    if frame.repaired_pixels or frame.dropped_pixels:
+        text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
+        warnings.warn(text, stacklevel=1)
     shown = placed(image, frame.raster.data, frame.raster.display)
     figures = metrics.compare(shown, truth) if truth is not None else {}
     further = {}
@@ -291,7 +295,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
 def reconstruct(
     samples: str,
     output: str,
-    camera: str,
+    camera: str | None,
     reference: str | None,
     spp: int | None,
     repair: bool,
@@ -312,7 +316,6 @@ def reconstruct(
     from spreadlets.files.exr_samples import read_samples, samples_files, samples_raster
     from spreadlets.files.outputs import check_outputs
     from spreadlets.runtime.clock import Clock
-    from spreadlets.scene.camera import read_camera
 
     images.image_extension(output)
     check_outputs(
@@ -320,7 +323,7 @@ def reconstruct(
     )
     clock = Clock()
     with clock.step("read"):
-        lens = read_camera(camera)
+        lens = camera_of(camera, take_camera(options), samples)
         buffer = read_samples(samples, camera=lens, repair=repair)
         truth = exr.read_image(reference) if reference else None
     given = buffer.take(spp) if spp else buffer

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from typing import Any
 
 import click
 import cloup
 
-from spreadlets.cli.options import json_option
+from spreadlets.cli.options import json_option, take_reading
 from spreadlets.cli.show import print_figures, progress_bar
 from spreadlets.cli.status import EXIT_FAILURE
 
@@ -15,16 +17,31 @@ from spreadlets.cli.status import EXIT_FAILURE
 @cloup.command()
 @cloup.argument("image", type=click.Path(dir_okay=False), metavar="IMAGE.exr")
 @cloup.argument("reference", type=click.Path(dir_okay=False), metavar="REFERENCE.exr")
+@cloup.option_group(
+    "Reading the images (what is not given is recognised)",
+    cloup.option("--view", help="View of stereo files (default: the hero view)."),
+    cloup.option("--colour-layer", help="Colour layer of IMAGE, and of REFERENCE if it has it."),
+    cloup.option("--reference-layer", help="Colour layer of REFERENCE."),
+    cloup.option("--alpha-channel", help="Name of the alpha channel of IMAGE."),
+    cloup.option("--unpremultiplied", is_flag=True, help="The colours are not multiplied by alpha."),
+)
 @json_option
-def compare(image: str, reference: str, as_json: bool) -> None:
+def compare(image: str, reference: str, reference_layer: str | None, as_json: bool, **options: Any) -> None:
     """Compare an image with a reference: SSIM, PSNR and FLIP as displayed, relMSE and mean error on linear values.
 
     Example: spreadlets compare out.exr reference.exr
     """
     from spreadlets import metrics
     from spreadlets.files import exr_frames as exr
+    from spreadlets.files.recognise import ReadOptions
 
-    print_figures(metrics.compare(exr.read_image(image), exr.read_image(reference)), as_json)
+    reading = ReadOptions(**take_reading(options))
+    truth = (
+        exr.read_reference(reference, reading)
+        if reference_layer is None
+        else exr.read_image(reference, options=replace(reading, colour_layer=reference_layer, alpha_channel=None))
+    )
+    print_figures(metrics.compare(exr.read_image(image, options=reading), truth), as_json)
 
 
 @cloup.command()

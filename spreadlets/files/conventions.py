@@ -6,14 +6,15 @@ Each convention is used both ways: from a file's channels to the labels of `Fram
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import FloatArray
-from spreadlets.errors import InvalidParameterError
+from spreadlets.arrays import BoolArray, FloatArray
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.raster import Raster
 
@@ -32,7 +33,7 @@ class Scale:
     camera : ThinLens or None
         For ray distance, disparity and velocity in space.
     depth_scale : float
-        Metres per unit of the depth channel.
+        Metres per unit of the depth channel; below 0 for depth along an axis that points to the camera.
     baseline_m : float or None
         Distance of the two cameras of a stereo pair, metres, for disparity.
     max_displacement : float or None
@@ -48,10 +49,14 @@ class Scale:
     raster: Raster | None = None
 
     def __post_init__(self) -> None:
-        for name in ("depth_scale", "baseline_m", "max_displacement"):
+        for name in ("baseline_m", "max_displacement"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise InvalidParameterError(f"{name} is {value:g}; it must be finite and > 0")
+                raise InvalidParameterError(f"{option(name)} is {value:g}; it must be finite and > 0")
+        if not (np.isfinite(self.depth_scale) and self.depth_scale != 0):
+            raise InvalidParameterError(
+                f"{option('depth_scale')} is {self.depth_scale:g}; it must be finite and not 0 (below 0 turns the sign)"
+            )
 
     def raster_of(self, shape: tuple[int, ...]) -> Raster:
         """Return where the pixels of an array (H, W) lie."""
@@ -60,20 +65,25 @@ class Scale:
     def focal_length_px(self, shape: tuple[int, ...], reason: str) -> float:
         """Return the focal length in px, or raise InvalidParameterError saying what the camera is needed for."""
         if self.camera is None:
-            raise InvalidParameterError(f"{reason} needs the camera (option camera)")
-        return self.camera.focal_length_mm / self.camera.sensor_width_mm * self.raster_of(shape).display.width
+            raise InvalidParameterError(f"{reason} needs the camera ({option('camera')})")
+        display = self.raster_of(shape).display
+        camera = self.camera.fitted(display.shape)
+        return camera.focal_length_mm / camera.sensor_width_mm * display.width
 
     def baseline(self) -> float:
         """Return the baseline in metres, or raise InvalidParameterError."""
         if self.baseline_m is None:
-            raise InvalidParameterError("depth_convention disparity needs the distance of the two cameras (baseline_m)")
+            raise InvalidParameterError(
+                f"{option('depth_convention')} disparity needs the distance of the two cameras ({option('baseline_m')})"
+            )
         return self.baseline_m
 
     def displacement(self, convention: str) -> float:
         """Return the largest displacement in px, or raise InvalidParameterError."""
         if self.max_displacement is None:
             raise InvalidParameterError(
-                f"motion_convention {convention} needs the motion in px at the end of the range (max_displacement)"
+                f"{option('motion_convention')} {convention} needs the motion in px at the end of the range "
+                f"({option('max_displacement')})"
             )
         return self.max_displacement
 
@@ -99,13 +109,13 @@ def _planar_to_ray(values: FloatArray, scale: Scale) -> FloatArray:
 
 
 def _disparity(values: FloatArray, scale: Scale) -> FloatArray:
-    focal_px = scale.focal_length_px(values.shape, "depth_convention disparity")
+    focal_px = scale.focal_length_px(values.shape, f"{option('depth_convention')} disparity")
     return np.float32(scale.baseline() * focal_px / scale.depth_scale) * _reciprocal(values, scale)
 
 
 def _ray_length(shape: tuple[int, ...], scale: Scale) -> FloatArray:
     """Return how far along its ray each pixel's centre is at a planar depth of 1, (H, W)."""
-    focal_px = scale.focal_length_px(shape, "depth_convention ray")
+    focal_px = scale.focal_length_px(shape, f"{option('depth_convention')} ray")
     x, y = _offsets_from_centre(shape, scale)
     return np.asarray(np.sqrt(1 + (x**2 + y**2) / focal_px**2), np.float32)
 
@@ -133,6 +143,9 @@ DEPTH_CONVENTIONS: Mapping[str, tuple[DepthMap, DepthMap]] = {
 ``planar`` is the distance along the optical axis, ``ray`` along the ray through the pixel's centre, ``inverse`` is
 1 over the planar depth, and ``disparity`` the shift in px between the two images of a parallel stereo pair.
 """
+
+HALF_STEP = 1e-3
+"""Relative step of a half float: a file of halves holds a number only to about this."""
 
 RECIPROCAL_DEPTH = frozenset({"inverse", "disparity"})
 """Depth conventions whose values fall with distance."""
@@ -165,6 +178,36 @@ def planar_depth(convention: str, values: FloatArray, scale: Scale) -> FloatArra
 def stored_depth(convention: str, depth: FloatArray, scale: Scale) -> FloatArray:
     """Return the values of a depth channel from planar depth in metres, (H, W) float32: undoes `planar_depth`."""
     return np.asarray(DEPTH_CONVENTIONS[convention][1](depth / np.float32(scale.depth_scale), scale), np.float32)
+
+
+def background_places(rule: float | str, values: FloatArray) -> BoolArray:
+    """Return where stored depths mean background.
+
+    Parameters
+    ----------
+    rule : float or str
+        A number, ``"nan"``, or ``"<X"`` or ``">X"`` for all values beyond a number.
+    values : ndarray of any shape
+        Stored depths.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the rule is none of these.
+    """
+    text = str(rule).strip().lower()
+    try:
+        number = np.float32(text.lstrip("<>"))
+    except ValueError:
+        raise InvalidParameterError(
+            f"{option('background_depth')} is {rule!r}; it must be a number, nan, <X or >X"
+        ) from None
+    with np.errstate(invalid="ignore"):
+        if text.startswith("<"):
+            return np.asarray(values < number)
+        if text.startswith(">"):
+            return np.asarray(values > number)
+        return np.asarray(np.isclose(values, number, rtol=HALF_STEP, atol=0, equal_nan=True))
 
 
 def planar_samples(
@@ -264,6 +307,8 @@ MOTION_UNITS: Mapping[str, MotionUnit] = {
     # RE:Vision's integer images, read as floats from 0 to 1: codes 0..254 around 127, and 0..65534 around 32767.
     "norm8": MotionUnit(step=255 / 127, zero=1.0, limited=True, quantised=255),
     "norm16": MotionUnit(step=65535 / 32767, zero=1.0, limited=True, quantised=65535),
+    # Grey 0.5 is at rest, 0 and 1 are the width or height of the image.
+    "grey": MotionUnit(step=2.0, zero=1.0, per_image=1.0),
     # Velocity of the surface in camera space, depth units per frame; handled by `_projected`.
     "space": MotionUnit(),
 }
@@ -311,7 +356,7 @@ MOTION_CONVENTIONS: Mapping[str, MotionConvention] = {
 
 Most are named ``DIRECTION-UNIT[-up]``. DIRECTION: ``forward`` is P(next) - P(cur), ``backward`` is P(prev) - P(cur).
 UNIT: ``px`` per frame; ``ndc`` -1..1 and ``uv`` 0..1 over the image; ``norm`` (floats), ``norm8`` and ``norm16``
-(integer codes) are normalised by `max_displacement`. ``-up`` where y points up.
+(integer codes) are normalised by `max_displacement`, ``grey`` by the image's size. ``-up`` where y points up.
 """
 
 
@@ -346,7 +391,7 @@ def motion_labels(
     convention = MOTION_CONVENTIONS[name]
     if convention.unit == "space":
         if shape is not None:
-            raise InvalidParameterError(f"motion_convention {name} is for flat images only")
+            raise InvalidParameterError(f"{option('motion_convention')} {name} is for flat images only")
         return {"motion": _projected(channels, depth, scale)}
     unit = MOTION_UNITS[convention.unit]
     values = channels if unit == MotionUnit() else np.float32(unit.step) * channels - np.float32(unit.zero)
@@ -386,7 +431,7 @@ def stored_motion(name: str, labels: Mapping[str, FloatArray], depth: FloatArray
     if unit.quantised and np.abs(values).max() > 1:
         longest = float(np.abs(stacked * np.tile(factors, len(convention.rows))).max())
         raise InvalidParameterError(
-            f"max_displacement is {scale.max_displacement:g} px, but the frame moves by {longest:g} px"
+            f"{option('max_displacement')} is {scale.max_displacement:g} px, but the frame moves by {longest:g} px"
         )
     stored = (values + np.float32(unit.zero)) / np.float32(unit.step)
     if unit.quantised:
@@ -435,9 +480,9 @@ def _perspective(
     depth: FloatArray, scale: Scale
 ) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the focal length in px, the pixels' places from the centre, px, and depth in the file's units."""
-    focal_px = scale.focal_length_px(depth.shape, "motion_convention camera-velocity")
+    focal_px = scale.focal_length_px(depth.shape, f"{option('motion_convention')} camera-velocity")
     x, y = _offsets_from_centre(depth.shape, scale)
-    return focal_px, x, y, np.minimum(depth, FAR).astype(np.float64) / scale.depth_scale
+    return focal_px, x, y, np.minimum(depth, FAR).astype(np.float64) / abs(scale.depth_scale)
 
 
 # --- Renderers -----------------------------------------------------------------------------------------------------
@@ -483,8 +528,11 @@ OWN = Preset(
 PRESETS: Mapping[str, Preset] = {
     # Measured on Cycles 5. Older releases stored the distance along the ray: depth_convention ray.
     "blender": Preset(
-        (("Depth.Z", "planar"),),
-        ((("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"), "blender"),),
+        (("Depth.Z", "planar"), ("Depth.V", "planar")),
+        (
+            (("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"), "blender"),
+            (("Vector.X", "Vector.Y"), "backward-px-up"),  # of three channels the third is half of the way to the next
+        ),
         colour="Combined.",
         prefix="ViewLayer.",
     ),
@@ -546,18 +594,59 @@ PRESETS: Mapping[str, Preset] = {
             (("backward.u", "backward.v"), "nuke-backward"),
         ),
     ),
+    "unreal": Preset(
+        (("FinalImageMovieRenderQueue_WorldDepth.R", "planar"), ("WorldDepth.R", "planar")),
+        (
+            (
+                ("FinalImageMovieRenderQueue_MotionVectors.R", "FinalImageMovieRenderQueue_MotionVectors.G"),
+                "forward-grey",
+            ),
+        ),
+        depth_doubt="Unreal's WorldDepth is taken for planar metres; Unreal counts in centimetres (depth scale 0.01)",
+        motion_doubt="Unreal's MotionVectors are taken for forward, y down, grey at rest, one image wide",
+    ),
+    "octane": Preset(
+        (("Z depth.R", "planar"), ("Z-depth.R", "planar"), ("Zdepth.R", "planar")),
+        (
+            (("Motion vector.R", "Motion vector.G"), "forward-px-up"),
+            (("MotionVector.R", "MotionVector.G"), "forward-px-up"),
+        ),
+        depth_doubt="Octane's Z depth is taken for planar metres",
+        motion_doubt="Octane's motion vectors are taken for px per frame, forward, y up",
+    ),
+    "3dsmax": Preset(
+        (("Z", "planar"),),
+        ((("velX", "velY"), "forward-px-up"),),
+        motion_doubt="3ds Max's velX and velY are taken for px per frame, forward, y up",
+    ),
 }
 """Renderers by the name that the `preset` option takes."""
 
+DEPTH_LAYERS = ("depth", "zdepth", "z_depth", "depth_main", "VRayZDepth", "dd", "Pz")
+DEPTH_COMPONENTS = ("", ".Z", ".V", ".R", ".Y", ".red")
+"""Many programs name depth by one of these layers and components."""
+
 UNCLEAR = Preset(
-    (),
-    ((("motion.u", "motion.v"), "forward-px-up"), (("motionvector.u", "motionvector.v"), "forward-px-up")),
+    tuple((layer + component, "planar") for layer in DEPTH_LAYERS for component in DEPTH_COMPONENTS),
+    (
+        (("motion.u", "motion.v"), "forward-px-up"),
+        (("motionvector.u", "motionvector.v"), "forward-px-up"),
+        (("motion.R", "motion.G"), "forward-px-up"),
+    ),
+    depth_doubt="depth whose program its name does not tell is taken for planar metres",
     motion_doubt="two-channel motion whose direction its name does not tell is taken for px per frame, forward, y up",
 )
 """Names that several programs use, each with its own meaning."""
 
+# What looks like depth, motion or alpha though no table has its name, in lower case.
+DEPTH_LIKE = re.compile(r"depth|dist|(^|[._ ])(z|pz|hitpz|zbuf\w*)([._ ]\w{1,5})?$")
+MOTION_LIKE = re.compile(
+    r"motion|veloc|vector|forward|backward|flow|mvec|(^|[._ ])(mv|vel)([._ ]?[xyzuvrgb])?([._ ]|$)"
+)
+ALPHA_LIKE = re.compile(r"(^|[._ ])(a|alpha|opacity|coverage)$")
 
-def check_choice(option: str, value: str | None, allowed: Mapping[str, object]) -> None:
+
+def check_choice(name: str, value: str | None, allowed: Mapping[str, object]) -> None:
     """Raise InvalidParameterError unless an option that was given has one of its values."""
     if value is not None and value not in allowed:
-        raise InvalidParameterError(f"{option} is {value!r}; allowed are {', '.join(allowed)}")
+        raise InvalidParameterError(f"{option(name)} is {value!r}; allowed are {', '.join(allowed)}")

@@ -87,6 +87,51 @@ class DeepImage:
                 f"(row {row}, col {col})"
             )
 
+    @staticmethod
+    def merged(images: Sequence[DeepImage]) -> DeepImage:
+        """Return the samples of several images of one scene in one; what has no motion is still.
+
+        Parameters
+        ----------
+        images : sequence of DeepImage
+            At least one; of one shape.
+
+        Raises
+        ------
+        InvalidFrameError
+            If the shapes differ.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> one = np.ones(1, np.float32)
+        >>> image = sp.DeepImage(np.array([[1]]), np.ones((1, 4), np.float32), one, one)
+        >>> sp.DeepImage.merged([image, image]).counts.item()
+        2
+        """
+        first = images[0]
+        for index, image in enumerate(images):
+            if image.counts.shape != first.counts.shape:
+                raise InvalidFrameError(
+                    f"deep image {index} has shape {image.counts.shape}, image 0 has {first.counts.shape}; all images "
+                    "of a scene share one shape"
+                )
+        if len(images) == 1:
+            return first
+        pixel = np.concatenate([np.repeat(np.arange(image.counts.size), image.counts.ravel()) for image in images])
+        order = np.argsort(pixel, kind="stable")
+        moving = any(image.motion is not None for image in images)
+        motions = [
+            np.zeros((len(each.depth), 2), np.float32) if each.motion is None else each.motion for each in images
+        ]
+        return DeepImage(
+            np.sum([image.counts for image in images], axis=0),
+            np.concatenate([image.radiance for image in images])[order],
+            np.concatenate([image.depth for image in images])[order],
+            np.concatenate([image.depth_back for image in images])[order],
+            np.concatenate(motions)[order] if moving else None,
+        )
+
     def tidy(self) -> DeepImage:
         """Return the image with samples sorted, split where others begin or end, and coinciding ones merged.
 
@@ -309,7 +354,8 @@ def deep_image(
     data, display : Window
         The part's windows.
     names : mapping of str to sequence of str
-        The channels that are colour (with alpha), depth, and motion, if there is any; ZBack beside the depth is found.
+        The channels that are colour, alpha (if several, their mean), depth, and motion, if there is any; ZBack beside
+        the depth is found.
     to_planar : callable
         Makes planar metres of stored depths and the pixels of the display window that they are in.
     to_motion : callable
@@ -317,18 +363,20 @@ def deep_image(
     unpremultiplied : bool
         Multiply the colours by alpha.
     repair : bool
-        Drop invalid samples instead of raising.
+        Mend invalid labels (a bad depth becomes background, a bad motion still) and drop samples with invalid colours,
+        instead of raising.
 
     Returns
     -------
     image : DeepImage
-    dropped : int
-        How many invalid samples were dropped.
+    bad : int
+        How many invalid samples were mended or dropped.
     """
     shape = display.height, display.width
     pixel = _display_pixels(part, data, display)
     shown = pixel >= 0
-    radiance = np.stack([part.channels[name] for name in names["colour"]], axis=1)
+    alpha = np.mean([part.channels[name] for name in names["alpha"]], axis=0, dtype=np.float32)
+    radiance = np.stack([*(part.channels[name] for name in names["colour"]), alpha], axis=1)
     if unpremultiplied:
         radiance[:, :3] *= radiance[:, 3:]
     (depth_name,) = names["depth"]
@@ -343,13 +391,26 @@ def deep_image(
     if "motion" in names:
         motion = to_motion(np.stack([part.channels[name] for name in names["motion"]], axis=1))
     visible = shown & (radiance != 0).any(axis=1)
-    bad = np.zeros(len(depth), np.bool_)
+    bad: npt.NDArray[np.bool_] = np.zeros(len(depth), np.bool_)
+    dropped = bad
     if repair:
-        bad = np.logical_or.reduce([bad, *_problems(radiance, depth, depth_back, motion).values()]) & visible
-    kept = visible & ~bad
+        for places in _problems(radiance, depth, depth_back, motion).values():
+            bad |= places & visible
+        depth, depth_back = _mended_depths(depth, depth_back)
+        motion = None if motion is None else np.where(np.isfinite(motion).all(axis=1, keepdims=True), motion, 0)
+        radiance[:, 3] = np.clip(radiance[:, 3], 0, 1)
+        dropped = np.asarray(~np.isfinite(radiance).all(axis=1))
+    kept = visible & ~dropped
     counts = np.bincount(pixel[kept], minlength=shape[0] * shape[1]).reshape(shape)
     labels = None if motion is None else motion[kept]
     return DeepImage(counts, radiance[kept], depth[kept], depth_back[kept], labels), int(np.count_nonzero(bad))
+
+
+def _mended_depths(depth: FloatArray, depth_back: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return depths with background for bad ones, and with the front for bad backs."""
+    depth = np.where(depth > 0, depth, np.float32(np.inf))
+    good = (depth_back >= depth) & (np.isinf(depth) | np.isfinite(depth_back))
+    return depth, np.where(good, depth_back, depth)
 
 
 def _display_pixels(part: DeepPart, data: Window, display: Window) -> npt.NDArray[np.int64]:

@@ -6,16 +6,19 @@ What the channels mean is told by the tables of `spreadlets.files.conventions`.
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
+import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.arrays import FloatArray, PathLike
-from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError, option
 from spreadlets.files.atomic import atomic_path
 from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.conventions import (
@@ -24,6 +27,7 @@ from spreadlets.files.conventions import (
     PRESETS,
     Preset,
     Scale,
+    background_places,
     check_choice,
     motion_labels,
     planar_depth,
@@ -31,10 +35,11 @@ from spreadlets.files.conventions import (
     stored_depth,
     stored_motion,
 )
-from spreadlets.files.deep import DEFAULT_LAYERS, deep_image
+from spreadlets.files.deep import DeepImage, deep_image
 from spreadlets.files.exr_chunks import read_deep_part
 from spreadlets.files.exr_parts import (
     Image,
+    Part,
     Plane,
     check_headers,
     check_same_window,
@@ -44,32 +49,33 @@ from spreadlets.files.exr_parts import (
     library_messages,
     merged,
     part_header,
-    part_of,
     read_headers,
     read_parts,
     window,
 )
-from spreadlets.files.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
+from spreadlets.files.luminance import with_rgb
+from spreadlets.files.recognise import (
+    Colour,
+    Found,
+    Passes,
+    ReadKeywords,
+    ReadOptions,
+    Recognised,
+    depth_warning,
+    find_colour,
+    recognise,
+)
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.frame import Frame, Layer
+from spreadlets.scene.doubts import layer_doubts
+from spreadlets.scene.frame import BACKGROUND_DEPTH, Frame, Layer
+from spreadlets.scene.raster import Raster, Window
+
+COUNTER = re.compile(r"\d+")
+"""A number in a file's name."""
 
 
 def read_frame(
-    paths: PathLike | Sequence[PathLike],
-    *,
-    preset: str | None = None,
-    colour_layer: str | None = None,
-    depth_channel: str | None = None,
-    motion_channels: Sequence[str] | None = None,
-    depth_convention: str | None = None,
-    motion_convention: str | None = None,
-    unpremultiplied: bool = False,
-    camera: ThinLens | None = None,
-    depth_scale: float = 1.0,
-    baseline_m: float | None = None,
-    max_displacement: float | None = None,
-    max_layers: int = DEFAULT_LAYERS,
-    repair: bool = False,
+    paths: PathLike | Sequence[PathLike], *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]
 ) -> Frame:
     """Read a frame of labelled pixels from OpenEXR files.
 
@@ -77,34 +83,12 @@ def read_frame(
     ----------
     paths : path or sequence of paths
         One file is a whole frame, or depth layers if each of its parts holds R, G, B, A and Z, or a deep image, whose
-        samples become layers. Several files are depth layers, nearest first, premultiplied by alpha.
-    preset : str, optional
-        The renderer that wrote the file, a key of `conventions.PRESETS`; by default all their channel names are
-        looked for.
-    colour_layer : str, optional
-        Prefix of the colour channels, e.g. ``"ViewLayer.Combined"``; by default the main image is looked for.
-    depth_channel : str, optional
-        Name of the depth channel; by default a known name is looked for.
-    motion_channels : sequence of str, optional
-        Names of the motion channels in the order of the convention, or an empty sequence to take the frame as still;
-        by default known names are looked for.
-    depth_convention, motion_convention : str, optional
-        Keys of `conventions.DEPTH_CONVENTIONS` and `conventions.MOTION_CONVENTIONS`; by default they follow from the
-        renderer or from the channels' names.
-    unpremultiplied : bool
-        Whether the colours are not multiplied by alpha yet.
-    camera : ThinLens, optional
-        Needed for ray distance, disparity and velocities in space.
-    depth_scale : float
-        Metres per unit of the depth channel: 0.01 for a scene in centimetres.
-    baseline_m : float, optional
-        Distance of the two cameras in metres; needed for disparity.
-    max_displacement : float, optional
-        Motion in px that the end of the range stands for; needed for normalised motion.
-    max_layers : int
-        Most depth layers that are made of a deep image, see `deep.DeepImage.layers`.
-    repair : bool
-        Drop pixels with invalid values instead of raising, see `Frame`.
+        samples become layers. Several flat files are depth layers, nearest first, premultiplied by alpha; several deep
+        files are one scene, merged sample by sample.
+    options : ReadOptions, optional
+        What is known about the files.
+    **keywords
+        Fields of `ReadOptions`, in addition: ``depth_channel="depth.R"``.
 
     Returns
     -------
@@ -125,7 +109,8 @@ def read_frame(
     Warns
     -----
     AmbiguousInputWarning
-        If a convention had to be assumed.
+        If a convention had to be assumed, channels that look like motion or alpha are not used, or the order of the
+        layers is doubtful.
 
     Examples
     --------
@@ -134,33 +119,42 @@ def read_frame(
     >>> sp.write_frame("frame.exr", frame)
     >>> sp.read_frame("frame.exr").motion[0, 0].tolist()
     [1.0, 1.0]
-    >>> sp.read_frame(["frame.exr", "frame.exr"])  # two files are two depth layers
+    >>> import warnings
+    >>> with warnings.catch_warnings(action="ignore"):  # the front layer hides the other
+    ...     sp.read_frame(["frame.exr", "frame.exr"])  # two files are two depth layers
     Frame(4 x 6 px, 2 layers)
     """
-    options = ReadOptions(
-        preset=preset,
-        colour_layer=colour_layer,
-        depth_channel=depth_channel,
-        motion_channels=None if motion_channels is None else tuple(motion_channels),
-        depth_convention=depth_convention,
-        motion_convention=motion_convention,
-        unpremultiplied=unpremultiplied,
-        scale=Scale(camera, depth_scale, baseline_m, max_displacement),
-    )
+    chosen = ReadOptions.of(options, **keywords)
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    layers = [layer for path in files for layer in _read_file(path, options, repair, max_layers)]
-    return _with_room(layers[0] if len(layers) == 1 else Frame.from_layers(layers))
+    headers = [read_headers(path) for path in files]
+    passes = read_passes(chosen)
+    if files and all(any(map(is_deep, each)) for each in headers):
+        return _merged_deep(files, headers, chosen)
+    layers: list[Frame] = []
+    for path, each in zip(files, headers, strict=True):
+        if any(map(is_deep, each)):
+            layers.append(_merged_deep([path], [each], chosen))
+        else:
+            layers += [_read_layer(image, settings, passes) for image, settings in flat_layers(path, chosen)]
+    if len(layers) > 1 and passes != Passes():
+        raise InvalidParameterError(
+            f"{option('depth_file')}, {option('motion_file')} and {option('alpha_file')} are for frames of one layer"
+        )
+    frame = layers[0] if len(layers) == 1 else Frame.from_layers(layers)
+    for doubt in (*_sequence_doubts(files), *layer_doubts(frame)):
+        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=2)
+    return _with_room(frame)
 
 
-def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray:
+def read_image(path: PathLike, *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]) -> FloatArray:
     """Read the colours of an OpenEXR file.
 
     Parameters
     ----------
     path : path
         The file.
-    colour_layer : str, optional
-        Prefix of the colour channels, e.g. ``"ViewLayer.Combined"``; by default the main image is looked for.
+    options, **keywords
+        As for `read_frame`; of use here are ``view``, ``colour_layer``, ``alpha_channel`` and ``unpremultiplied``.
 
     Returns
     -------
@@ -179,10 +173,40 @@ def read_image(path: PathLike, *, colour_layer: str | None = None) -> FloatArray
     >>> sp.read_image("image.exr").shape
     (4, 6, 3)
     """
-    image = merged(path, read_parts(path))
-    colour = find_colour(image, ReadOptions(colour_layer=colour_layer))
-    check_same_window(image, colour)
-    return _radiance(image, colour)
+    chosen = ReadOptions.of(options, **keywords)
+    image = with_rgb(merged(path, read_parts(path)))
+    view, layer = chosen.view, chosen.colour_layer
+    if view is None and isinstance(layer, str) and layer in image.views:
+        view, chosen = layer, replace(chosen, colour_layer=None)
+    return _radiance(find_colour(image.of_view(view), chosen), chosen.unpremultiplied, image.display)
+
+
+def read_reference(path: PathLike, options: ReadOptions) -> FloatArray:
+    """Return the colours of an image that another is compared with, read as that one where it has the same names.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    options : ReadOptions
+        How the other image, or the frame that it is made from, is read.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3) or (H, W, 4), float32
+
+    Raises
+    ------
+    InvalidFileError
+        As for `read_image`.
+    """
+    plain = ReadOptions(unpremultiplied=options.unpremultiplied)
+    attempts = [replace(plain, view=options.view, colour_layer=layer) for layer in options.colour_layers if layer]
+    attempts += [replace(plain, view=options.view)] if options.view else []
+    for attempt in attempts:
+        with suppress(InvalidFileError):
+            return read_image(path, options=attempt)
+    return read_image(path, options=plain)
 
 
 def write_frame(
@@ -254,48 +278,71 @@ def _with_room(frame: Frame) -> Frame:
     return frame.reaching(whole)
 
 
-def _read_file(path: PathLike, options: ReadOptions, repair: bool, max_layers: int) -> list[Frame]:
-    """Return a file's depth layers: its parts, or those of a deep image, or one from all parts together."""
-    headers = read_headers(path)
-    if any(is_deep(header) for header in headers):
-        return [_read_deep(path, headers, options, repair, max_layers)]
-    return [_read_layer(image, options, repair) for image in layer_images(path)]
+def flat_layers(path: PathLike, options: ReadOptions) -> list[tuple[Image, ReadOptions]]:
+    """Return the depth layers of a flat file, each as an image and how to read it.
 
-
-def layer_images(path: PathLike) -> list[Image]:
-    """Return the images of a flat file: its parts if each holds R, G, B, A and Z, else one of all channels together."""
+    They are its parts if each holds R, G, B, A and Z, else the colour layers that the caller names, all channels
+    together.
+    """
     parts = read_parts(path)
     one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
     if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
-        return [Image(path, part.planes, part.display, parts) for part in parts]
-    return [merged(path, parts)]
+        return [(merged(path, [part]), options) for part in parts]
+    image = with_rgb(merged(path, parts))
+    return [(image, replace(options, colour_layer=layer)) for layer in options.colour_layers]
 
 
-def deep_header(path: PathLike, headers: Sequence[Mapping[str, Any]]) -> tuple[int, Image]:
-    """Return which part of a file is deep, and its channels without pixels, after checking what the headers promise."""
+def read_passes(options: ReadOptions) -> Passes:
+    """Return the images of the passes that the caller keeps in files of their own."""
+    files = (options.depth_file, options.motion_file, options.alpha_file)
+    depth, motion, alpha = (
+        None if path is None else merged(path, read_parts(path)).of_view(options.view) for path in files
+    )
+    return Passes(depth, motion, alpha)
+
+
+def deep_header(
+    path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions | None = None
+) -> tuple[int, Image]:
+    """Return which part of a file is deep, and its channels without pixels, after checking what the headers promise.
+
+    Of several deep parts it is the one of the view that is asked for, or the hero view's.
+    """
+    view = options.view if options else None
     deep = [index for index, header in enumerate(headers) if is_deep(header)]
-    if len(deep) > 1:
-        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts; one can be read")
+    views = [str(headers[index].get("view", "")) for index in deep]
+    if view is not None and view not in views:
+        raise InvalidFileError(f"{path}: lacks the {option('view')} {view!r}; its views are {', '.join(views)}")
+    if len(deep) > 1 and len(set(views)) < len(deep):
+        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts of the same view; one can be read")
+    index = deep[views.index(view) if view is not None else 0]
     check_headers(path, headers, deep=True)
-    header = headers[deep[0]]
+    header = headers[index]
     data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
     planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
-    part = part_of(header, planes, carried_attributes(path)[deep[0]])
-    return deep[0], Image(path, planes, part.display, [part])
+    part = Part("", {**header, "multiView": ()}, planes, carried_attributes(path)[index])
+    return index, merged(path, [part])
 
 
-def _read_deep(
-    path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions, repair: bool, max_layers: int
+def _merged_deep(
+    files: Sequence[PathLike], headers: Sequence[Sequence[Mapping[str, Any]]], options: ReadOptions
 ) -> Frame:
-    """Return the depth layers of a deep file."""
-    index, image = deep_header(path, headers)
-    colour = find_colour(image, options)
-    if len(colour) < 4:
-        raise image.problem("lacks alpha, which deep samples need", "colour_layer")
-    depth, motion = find_depth(image, colour, options), find_motion(image, options)
-    names = {"colour": colour, "depth": depth.channels} | ({"motion": motion.channels} if motion else {})
-    _warn(image, depth.doubt, motion.doubt if motion else "")
-    part, raster = read_deep_part(path, index), image.raster(colour[0])
+    """Return the depth layers of deep files, which show one scene."""
+    read = [_read_deep(path, each, options) for path, each in zip(files, headers, strict=True)]
+    try:
+        return DeepImage.merged([image for image, _ in read]).layers(options.max_layers).lying_at(read[0][1])
+    except (InvalidFrameError, InvalidParameterError) as error:
+        raise type(error)(f"{', '.join(str(path) for path in files)}: {error}") from None
+
+
+def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions) -> tuple[DeepImage, Raster]:
+    """Return the samples of a deep file, and where its pixels lie."""
+    index, image = deep_header(path, headers, options)
+    found = recognise_deep(image, options)
+    names = {"colour": found.colour.channels, "alpha": found.colour.alpha, "depth": found.depth.channels}
+    names |= {"motion": found.motion.channels} if found.motion else {}
+    _warn(image, found)
+    part, raster = read_deep_part(path, index), image.raster(found.colour.channels[0])
     if part.counts.shape != raster.data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
     raster = raster.reaching(raster.data.union(raster.display))
@@ -303,19 +350,43 @@ def _read_deep(
     try:
         samples, dropped = deep_image(
             part,
-            image.planes[colour[0]].window,
+            image.planes[found.colour.channels[0]].window,
             raster.data,
             names,
-            to_planar=lambda values, pixel: planar_samples(depth.convention, values, pixel, shape, scale),
-            to_motion=lambda channels: _mean_motion(motion, channels, shape, scale),
+            to_planar=lambda values, pixel: _planar_samples(found.depth, values, pixel, shape, options, scale),
+            to_motion=lambda channels: _mean_motion(found.motion, channels, shape, scale),
             unpremultiplied=options.unpremultiplied,
-            repair=repair,
+            repair=options.repair,
         )
-        if dropped:
-            warnings.warn(f"{path}: {dropped} invalid deep samples were dropped", stacklevel=4)
-        return samples.layers(max_layers).lying_at(raster)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{path}: {error}") from None
+    if dropped:
+        text = f"{path}: {dropped} invalid deep samples were mended, or dropped where the colour is invalid"
+        warnings.warn(text, stacklevel=4)
+    return samples, raster
+
+
+def recognise_deep(image: Image, options: ReadOptions) -> Recognised:
+    """Return the channels of a deep image, or raise InvalidFileError if it lacks colour or alpha."""
+    found = recognise(image, replace(options, view=None))
+    if not found.colour.alpha:
+        raise image.problem("lacks alpha, which deep samples need", "alpha_channel")
+    return found
+
+
+def _planar_samples(
+    found: Found,
+    values: FloatArray,
+    pixel: npt.NDArray[np.int64],
+    shape: tuple[int, int],
+    options: ReadOptions,
+    scale: Scale,
+) -> FloatArray:
+    """Return planar depth in metres of samples in the pixels of an image."""
+    planar = planar_samples(found.convention, values, pixel, shape, scale)
+    if options.background_depth is None:
+        return planar
+    return np.where(background_places(options.background_depth, values), BACKGROUND_DEPTH, planar)
 
 
 def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, int], scale: Scale) -> FloatArray:
@@ -326,50 +397,81 @@ def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, in
     return np.asarray(values[0], np.float32)
 
 
-def _read_layer(image: Image, options: ReadOptions, repair: bool) -> Frame:
+def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     """Return one layer of labelled pixels; its errors start with the file's path."""
-    colour = find_colour(image, options)
-    depth = find_depth(image, colour, options)
-    motion = find_motion(image, options)
-    for names in (colour, depth.channels, *([motion.channels] if motion else [])):
-        check_same_window(image, names)
-    raster = image.raster(colour[0])
+    found = recognise(image, options, passes)
+    raster = found.colour.image.raster(found.colour.channels[0])
     scale = replace(options.scale, raster=raster)
-    radiance = gather(image, colour, raster.data)
-    if options.unpremultiplied and radiance.shape[2] == 4:
-        radiance[..., :3] *= radiance[..., 3:]
-    stored = gather(image, depth.channels, raster.data, 1.0)[..., 0]
-    alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
-    told = options.depth_convention is not None or options.preset is not None
-    _warn(image, depth.doubt, motion.doubt if motion else "")
-    if looks_wrong := depth_warning(os.fspath(image.path), depth, stored, alpha, told):
-        warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
+    radiance = _radiance(found.colour, options.unpremultiplied, raster.data)
+    _warn(image, found)
     try:
-        planar = planar_depth(depth.convention, stored, scale)
-        planar[~covered(image, depth.channels[0], raster.data)] = np.inf
+        stored = _label("depth", found.depth, raster, 1.0)[..., 0]
+        alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
+        planar_told = options.preset is not None and found.depth.convention == "planar"
+        told = options.depth_convention is not None or planar_told
+        if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, alpha, told):
+            warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
+        planar = planar_depth(found.depth.convention, stored, scale)
+        if options.background_depth is not None:
+            planar = np.where(background_places(options.background_depth, stored), BACKGROUND_DEPTH, planar)
+        planar[~covered(found.depth.image, found.depth.channels[0], raster.data)] = BACKGROUND_DEPTH
         labels = {}
-        if motion is not None:
-            labels = motion_labels(motion.convention, gather(image, motion.channels, raster.data), planar, scale)
-        return Frame(radiance, planar, **labels, raster=raster, repair=repair)
+        if found.motion is not None:
+            labels = motion_labels(found.motion.convention, _label("motion", found.motion, raster), planar, scale)
+        return Frame(radiance, planar, **labels, raster=raster, repair=options.repair)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{image.path}: {error}") from None
 
 
-def _warn(image: Image, *doubts: str) -> None:
+def _label(what: str, found: Found, raster: Raster, fill: float = 0.0) -> FloatArray:
+    """Return a label's channels, (H, W, n), where the colours lie; filled where they have no pixel."""
+    check_same_window(found.image, found.channels)
+    if found.image.display.shape != raster.display.shape:
+        there, wanted = (f"{each.width} x {each.height} px" for each in (found.image.display, raster.display))
+        raise InvalidFrameError(f"the {what} in {found.image.path} has {there}, the colours have {wanted}")
+    return gather(found.image, found.channels, raster.data, fill)
+
+
+def _warn(image: Image, found: Recognised) -> None:
     """Warn of each doubt that there is."""
-    for doubt in filter(None, doubts):
-        remedy = "say depth_convention or motion_convention to choose another or to silence this"
-        warnings.warn(f"{image.path}: {doubt}; {remedy}", AmbiguousInputWarning, stacklevel=4)
+    for doubt in found.doubts:
+        warnings.warn(f"{image.path}: {doubt}", AmbiguousInputWarning, stacklevel=4)
 
 
-def _radiance(image: Image, names: Sequence[str]) -> FloatArray:
-    """Return the colours; opaque ones get an alpha where their data window does not fill the display window."""
-    colours = gather(image, names)
-    window = image.planes[names[0]].window
-    if len(names) == 4 or window == image.display:
+def _radiance(colour: Colour, unpremultiplied: bool, target: Window) -> FloatArray:
+    """Return the colours in a window; opaque ones get an alpha where their data window does not fill it."""
+    image, alpha_image = colour.image, colour.alpha_image
+    check_same_window(image, colour.channels if alpha_image is not image else colour.names)
+    colours = gather(image, colour.channels, target)
+    if colour.alpha:
+        check_same_window(alpha_image, colour.alpha)
+        if alpha_image.display.shape != image.display.shape:
+            there, wanted = (f"{each.display.width} x {each.display.height} px" for each in (alpha_image, image))
+            raise InvalidFileError(f"{image.path}: alpha in {alpha_image.path} has {there}, the colours have {wanted}")
+        alpha = gather(alpha_image, colour.alpha, target).mean(axis=2, keepdims=True)
+    elif (reached := covered(image, colour.channels[0], target)).all():
         return colours
-    coverage = covered(image, names[0], image.display).astype(np.float32)
-    return np.concatenate([colours, coverage[..., None]], axis=2)
+    else:
+        alpha = reached[..., None].astype(np.float32)
+    return np.concatenate([colours * alpha if unpremultiplied else colours, alpha], axis=2)
+
+
+def _sequence_doubts(files: Sequence[PathLike]) -> list[str]:
+    """Return a warning if files that are taken for depth layers look like frames of a sequence."""
+    names = [os.path.basename(os.fspath(path)) for path in files]
+    if len(names) < 2 or len({COUNTER.sub("", name) for name in names}) > 1:
+        return []
+    counters = zip(*(COUNTER.findall(name) for name in names), strict=True)
+    changing = [index for index, values in enumerate(counters) if len(set(values)) == len(names)]
+    if not changing or "layer" in names[0].lower():
+        return []
+    places = list(COUNTER.finditer(names[0]))
+    first, last = places[changing[0]].span()
+    pattern = names[0][:first] + "#" * (last - first) + names[0][last:]
+    return [
+        f"{names[0]} to {names[-1]} differ in a number only, as frames of a sequence do, but several files are depth "
+        f"layers of one frame, nearest first; name a sequence like {pattern}"
+    ]
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------

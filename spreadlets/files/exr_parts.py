@@ -11,7 +11,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,28 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
-from spreadlets.errors import InvalidFileError
+from spreadlets.errors import InvalidFileError, option
 from spreadlets.files.atomic import LIBRARY_ERRORS
 from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
 from spreadlets.scene.raster import Attribute, Raster, Window, overlap
+
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+"""What every OpenEXR file starts with."""
+
+OTHER_KINDS = (
+    (b"\xff\xd8\xff", "a JPEG"),
+    (b"\x89PNG", "a PNG"),
+    (b"II*\x00", "a TIFF"),
+    (b"MM\x00*", "a TIFF"),
+    (b"#?RADIANCE", "a Radiance HDR"),
+    (b"\x89HDF", "an HDF5 file, such as a database"),
+    (b"PXR-USDC", "a USD file"),
+    (b"#usda", "a USD file"),
+    (b"Version ", "a TLFR sample buffer"),
+    (b"{", "text, such as a camera's JSON"),
+)
+"""First bytes of other files that are named by mistake, and what they are."""
 
 MAX_VALUES = 1 << 30
 """Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
@@ -49,46 +66,129 @@ _STDERR_LOCK = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """One channel's pixels where the file stores them."""
+    """One channel's pixels where the file stores them, and where it belongs.
+
+    Attributes
+    ----------
+    pixels : ndarray
+        As stored; empty where only headers were read.
+    window : Window
+        The pixels that are stored.
+    sampling : tuple of int
+        Columns and rows per stored value.
+    part : int
+        Index of the part that holds it.
+    view : str
+        The view of a stereo image that it belongs to, empty if none or all.
+    bare, place : str
+        The name without the view: as in its part, and with the part's name in front unless it begins with that.
+    """
 
     pixels: npt.NDArray[Any]
     window: Window
     sampling: tuple[int, int]
+    part: int = 0
+    view: str = ""
+    bare: str = ""
+    place: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of a file: its channels by the names that they have in the file."""
+    """One part of a file: its header, and its channels by the names that they have there."""
 
     name: str
+    header: Mapping[str, Any]
     planes: Mapping[str, Plane]
-    display: Window
-    view: str
-    pixel_aspect: float = 1.0
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
+
+    @property
+    def display(self) -> Window:
+        """The display window."""
+        return window(self.header["displayWindow"])
+
+    @property
+    def view(self) -> str:
+        """The view of a stereo image that the whole part belongs to, or empty."""
+        return str(self.header.get("view", ""))
+
+    @property
+    def pixel_aspect(self) -> float:
+        """Width over height of a pixel."""
+        return float(self.header.get("pixelAspectRatio", 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """The channels of a file, or of one layer part, by their full names."""
+    """The channels of a file, or of one layer part, by their full names.
+
+    Attributes
+    ----------
+    path : path
+        The file.
+    planes : mapping of str to Plane
+        Every channel.
+    display : Window
+        The display window.
+    names : tuple of str
+        The channels among which names are looked for: those of one view.
+    views : tuple of str
+        The views of a stereo image, the hero view first.
+    """
 
     path: PathLike
     planes: Mapping[str, Plane]
     display: Window
+    names: tuple[str, ...] = ()
+    views: tuple[str, ...] = ()
     parts: Sequence[Part] = ()
 
     def raster(self, name: str) -> Raster:
         """Return where a channel's pixels lie, and what the header of its part says besides."""
         plane = self.planes[name]
-        part = next((part for part in self.parts if plane in part.planes.values()), None)
-        if part is None:
+        if plane.part >= len(self.parts):
             return Raster(plane.window, self.display)
+        part = self.parts[plane.part]
         return Raster(plane.window, self.display, part.pixel_aspect, attributes=part.attributes)
 
-    def problem(self, what: str, option: str) -> InvalidFileError:
-        """Return an error that lists the channels and names the option that settles the matter."""
+    @property
+    def n_parts(self) -> int:
+        """How many parts of the file the channels are from."""
+        return len({plane.part for plane in self.planes.values()})
+
+    def place(self, name: str) -> str:
+        """Return a channel's name without its view, behind its part's name."""
+        return self.planes[name].place or name
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of what `gather` returns."""
+        return self.display.height, self.display.width
+
+    def of_view(self, view: str | None) -> Image:
+        """Return the image with the names of one view, by default the hero view's; what has no view belongs to all.
+
+        Raises
+        ------
+        InvalidFileError
+            If there is no such view.
+        """
+        if view is not None and view not in self.views:
+            there = f"its views are {', '.join(self.views)}" if self.views else "it has no views"
+            raise InvalidFileError(f"{self.path}: lacks the {option('view')} {view!r}; {there}")
+        if not self.views:
+            return replace(self, names=tuple(self.planes))
+        chosen = self.views[0] if view is None else view
+        own = {plane.place for plane in self.planes.values() if plane.view == chosen}
+        shared = [name for name, plane in self.planes.items() if not plane.view and plane.place not in own]
+        names = [name for name, plane in self.planes.items() if plane.view == chosen]
+        return replace(self, names=(*names, *shared))
+
+    def problem(self, what: str, *options: str) -> InvalidFileError:
+        """Return an error that lists the channels and names the options that settle the matter."""
         found = ", ".join(sorted(self.planes)) or "none"
-        return InvalidFileError(f"{self.path}: {what}; name it with {option}. Channels found: {found}")
+        remedy = " or ".join(map(option, options))
+        return InvalidFileError(f"{self.path}: {what}; name it with {remedy}. Channels found: {found}")
 
 
 # --- Reading -------------------------------------------------------------------------------------------------------
@@ -97,11 +197,48 @@ class Image:
 def merged(path: PathLike, parts: Sequence[Part]) -> Image:
     """Return all parts' channels in one; in a file of several parts the part's name leads, if it does not already."""
     planes: dict[str, Plane] = {}
-    for part in parts:
+    views = list(dict.fromkeys(part.view for part in parts if part.view))
+    for index, part in enumerate(parts):
+        named = [str(view) for view in part.header.get("multiView", ())]
+        views += [view for view in named if view not in views]
         for name, plane in part.planes.items():
-            bare = len(parts) == 1 or not part.name or name.startswith(part.name + ".")
-            planes[name if bare else f"{part.name}.{name}"] = plane
-    return Image(path, planes, parts[0].display, parts)
+            full, placed = _placed(name, plane, part, index, named, alone=len(parts) == 1)
+            planes[full if full not in planes else f"part{index}.{name}"] = placed
+    return Image(path, planes, parts[0].display, tuple(planes), tuple(views), tuple(parts))
+
+
+def _placed(name: str, plane: Plane, part: Part, index: int, views: Sequence[str], *, alone: bool) -> tuple[str, Plane]:
+    """Return a channel's full name, and the channel with its view and its names without it."""
+    bare, view = (name, part.view) if part.view else _without_view(name, views)
+    layer = _without_ending(part.name, view)
+    if alone or not part.name:
+        return name, replace(plane, part=index, view=view, bare=bare, place=bare)
+    if bare.startswith(layer + "."):
+        head, _, last = bare.rpartition(".")
+        full = f"{head}.{view}.{last}" if part.view else name
+        return full, replace(plane, part=index, view=view, bare=bare, place=bare)
+    return f"{part.name}.{name}", replace(plane, part=index, view=view, bare=bare, place=f"{layer}.{bare}")
+
+
+def _without_view(name: str, views: Sequence[str]) -> tuple[str, str]:
+    """Return a channel's name without its view, and the view.
+
+    OpenEXR puts the view before the last word; some programs put it first. A name of one word is the hero view's.
+    """
+    words = name.split(".")
+    if views and len(words) == 1:
+        return name, views[0]
+    for place in (len(words) - 2, 0):
+        if len(words) > 1 and words[place] in views:
+            return ".".join(words[:place] + words[place + 1 :]), words[place]
+    return name, ""
+
+
+def _without_ending(part_name: str, view: str) -> str:
+    """Return a part's name without its view, which some programs add after a dot, dash, or underscore."""
+    if view and part_name.endswith(view) and part_name[: -len(view)].endswith((".", "-", "_")):
+        return part_name[: -len(view) - 1]
+    return part_name
 
 
 def read_parts(path: PathLike) -> list[Part]:
@@ -127,9 +264,7 @@ def read_parts(path: PathLike) -> list[Part]:
 
 def part_of(header: Mapping[str, Any], planes: Mapping[str, Plane], attributes: Mapping[str, Attribute]) -> Part:
     """Return a part of a file by its header, its channels, and the attributes that do not describe its own pixels."""
-    name, view = str(header.get("name", "")), str(header.get("view", ""))
-    aspect = float(header.get("pixelAspectRatio", 1.0))
-    return Part(name, planes, window(header["displayWindow"]), view, aspect, attributes)
+    return Part(str(header.get("name", "")), header, planes, attributes)
 
 
 def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
@@ -159,9 +294,21 @@ def _open(path: PathLike, *, header_only: bool) -> tuple[Any, list[str]]:
         with library_messages() as messages:
             return OpenEXR.File(os.fspath(path), separate_channels=True, header_only=header_only), messages
     except LIBRARY_ERRORS as error:
+        if other := other_kind(path):
+            raise InvalidFileError(f"{path}: is {other}; frames and images are read from OpenEXR") from None
         raise InvalidFileError(
             f"{path}: is not a readable OpenEXR file{_detail(path, messages or [str(error)])}"
         ) from None
+
+
+def other_kind(path: PathLike) -> str:
+    """Return what a file is by its first bytes, such as ``"a PNG"``, or an empty string."""
+    try:
+        with open(path, "rb") as file:
+            start = file.read(16)
+    except OSError:
+        return ""
+    return next((kind for magic, kind in OTHER_KINDS if start.startswith(magic)), "")
 
 
 def _detail(path: PathLike, messages: Sequence[str]) -> str:

@@ -18,12 +18,13 @@ from spreadlets.files.exr_parts import (
     covered,
     gather,
     library_messages,
+    merged,
     part_header,
     read_headers,
     read_parts,
     window,
 )
-from spreadlets.files.tlfr import HEADER_SUFFIX, read_tlfr
+from spreadlets.files.tlfr import HEADER_SUFFIX, is_tlfr, read_tlfr
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
@@ -53,8 +54,8 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
     path : path
         An OpenEXR file with one part per sample and the channels R, G, B, Z (planar metres), motion.x, motion.y (px
         per frame, y down, forward), lens.u, lens.v, time (frames from the frame's time) and, optionally, A, offset.x,
-        offset.y, coc, motion_prev.x/.y, motion_next.x/.y, valid. Or a TLFR buffer, told by the file ``PATH.header``
-        beside it, see `tlfr.read_tlfr`.
+        offset.y, coc, motion_prev.x/.y, motion_next.x/.y, valid. Or a TLFR buffer, told by its header, see
+        `tlfr.read_tlfr`.
     camera : ThinLens, optional
         Only TLFR buffers need it: their times are shares of its shutter.
     repair : bool
@@ -86,7 +87,7 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
     """
     name = os.fspath(path).removesuffix(HEADER_SUFFIX)
     try:
-        if os.path.isfile(name + HEADER_SUFFIX):
+        if is_tlfr(name):
             return read_tlfr(name, shutter=None if camera is None else camera.shutter, repair=repair)
         return _read_exr(path, repair)
     except InvalidFrameError as error:
@@ -150,7 +151,7 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
 
 def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
     """Return the samples of an OpenEXR file, one per part."""
-    images = {part.name: Image(path, part.planes, part.display) for part in read_parts(path)}
+    images = {part.name: merged(path, [part]) for part in read_parts(path)}
     for name, image in images.items():
         missing = [channel for channel in NEEDED if channel not in image.planes]
         if missing:

@@ -39,7 +39,7 @@ def with_colours(paths: Sequence[PathLike], frame: Frame, names: Sequence[str]) 
         return
     image = _only_image(paths)
     for name in names:
-        colour = find_colour(image, ReadOptions(colour_layer=name))[:3]
+        colour = find_colour(image, ReadOptions(colour_layer=name)).channels
         check_same_window(image, colour)
         values = gather(image, colour, frame.raster.data)
         yield name, frame.coloured(np.concatenate([values, frame.radiance[..., 3:]], axis=2))
@@ -70,7 +70,7 @@ def other_channels(
         If the frame is none of one flat file, or a channel is subsampled.
     """
     image = _only_image(paths)
-    left_out = {*find_colour(image, ReadOptions(colour_layer=colour_layer)), *MAIN}
+    left_out = {*find_colour(image, ReadOptions(colour_layer=colour_layer)).names, *MAIN}
     others: Mapping[str, Any] = {name: plane for name, plane in image.planes.items() if name not in left_out}
     for name in others:
         check_same_window(image, [name])
@@ -81,4 +81,4 @@ def _only_image(paths: Sequence[PathLike]) -> Image:
     """Return all channels of the file, if there is one and it is flat."""
     if len(paths) > 1 or any(is_deep(header) for header in read_headers(paths[0])):
         raise InvalidFileError(f"{paths[0]}: further channels are taken from one flat file, not from layers")
-    return merged(paths[0], read_parts(paths[0]))
+    return merged(paths[0], read_parts(paths[0])).of_view(None)

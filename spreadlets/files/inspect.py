@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+import warnings as _warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from spreadlets.arrays import FloatArray, PathLike
-from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.files.conventions import motion_labels, planar_depth
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
+from spreadlets.errors import SpreadletsError
+from spreadlets.files.conventions import background_places, planar_depth
 from spreadlets.files.exr_chunks import read_deep_part
-from spreadlets.files.exr_frames import deep_header, layer_images
-from spreadlets.files.exr_parts import Image, check_same_window, gather, is_deep, read_headers
+from spreadlets.files.exr_frames import deep_header, flat_layers, read_frame, read_passes
+from spreadlets.files.exr_parts import EXR_MAGIC, Image, gather, is_deep, read_headers
 from spreadlets.files.exr_samples import read_samples
-from spreadlets.files.recognise import Found, ReadOptions, depth_warning, find_colour, find_depth, find_motion
-from spreadlets.files.tlfr import HEADER_SUFFIX
+from spreadlets.files.recognise import (
+    Colour,
+    Found,
+    Passes,
+    ReadOptions,
+    find_colour,
+    find_depth,
+    find_motion,
+    recognise,
+)
+from spreadlets.files.tlfr import is_tlfr
+from spreadlets.scene.doubts import frame_doubts
+from spreadlets.scene.frame import BACKGROUND_DEPTH, Frame, Layer
 from spreadlets.scene.samples import SampleBuffer
-
-EXR_MAGIC = b"\x76\x2f\x31\x01"
 
 
 def is_frame_file(path: PathLike) -> bool:
     """Tell by content whether a path is an OpenEXR file or a TLFR sample buffer."""
     try:
         with open(path, "rb") as file:
-            return file.read(4) == EXR_MAGIC or os.path.isfile(os.fspath(path) + HEADER_SUFFIX)
+            return file.read(len(EXR_MAGIC)) == EXR_MAGIC or is_tlfr(path)
     except OSError:
         return False
 
@@ -54,29 +65,100 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
         If the file cannot be read at all.
     """
     options = options or ReadOptions()
-    if os.path.isfile(os.fspath(path) + HEADER_SUFFIX):
+    if is_tlfr(path):
         return _samples_info(path, [])
     headers = read_headers(path)
     parts = [_part_info(header) for header in headers]
     if all({"lens.u", "lens.v", "time"} <= set(part["channels"]) for part in parts):
         return _samples_info(path, parts)
+    said, problems, frame = _tried(path, options)
+    report: dict[str, Any] = {}
     deep = any(part["type"] == "deep" for part in parts)
-    warnings: list[str] = []
-    problems: list[str] = []
-    index, images = 0, []
     if deep:
-        index, image = deep_header(path, headers)
-        images.append(image)
-    else:
-        images += layer_images(path)
-    size = images[0].display
-    kind = "deep" if deep else "layers" if len(images) > 1 else "frame"
-    report: dict[str, Any] = {"kind": kind, "width": size.width, "height": size.height, "parts": parts}
-    if deep:
+        index, image = deep_header(path, headers, options)
+        layers = [_pieces(image, options, Passes())]
         counts = read_deep_part(path, index).counts
         report["samples_per_pixel"] = [int(counts.min()), int(counts.max())]
-    report["layers"] = [_layer_info(image, options, warnings, problems, deep=deep) for image in images]
+    else:
+        passes = read_passes(options)
+        layers = [_pieces(image, settings, passes) for image, settings in flat_layers(path, options)]
+    kind = "deep" if deep else "layers" if len(layers) > 1 else "frame"
+    height, width = layers[0].image.shape
+    report = {"kind": kind, "width": width, "height": height, "parts": parts} | report
+    if layers[0].image.views:
+        report["views"] = list(layers[0].image.views)
+    shown = [] if frame is None else [frame.layers] if deep else [[layer] for layer in frame.layers]
+    report["layers"] = [
+        _layer_info(piece) | (_ranges(piece, shown[index], options) if index < len(shown) else {})
+        for index, piece in enumerate(layers)
+    ]
+    problems = list(dict.fromkeys([*(text for piece in layers for text in piece.problems), *problems]))
+    warnings = list(dict.fromkeys([*said, *(text for piece in layers for text in piece.doubts)]))
+    if options.camera is not None:
+        fitted = options.camera.fitted((height, width))
+        report["camera"] = {field.name: getattr(fitted, field.name) for field in fields(fitted)}
+        if frame is not None:
+            warnings += frame_doubts(frame, options.camera)
     return report | {"warnings": warnings, "problems": problems}
+
+
+def _tried(path: PathLike, options: ReadOptions) -> tuple[list[str], list[str], Frame | None]:
+    """Return the warnings and the problem that reading gives, and the frame; of a bad one, that mended."""
+    with _warnings.catch_warnings(record=True) as caught:
+        _warnings.simplefilter("always")
+        problems: list[str] = []
+        frame: Frame | None = None
+        try:
+            frame = read_frame(path, options=options)
+        except SpreadletsError as error:
+            problems.append(str(error))
+    said = list(dict.fromkeys(str(warning.message) for warning in caught))
+    if problems and not options.repair:
+        with _warnings.catch_warnings(action="ignore"), suppress(SpreadletsError):
+            frame = read_frame(path, options=replace(options, repair=True))
+    if frame is not None and not problems and frame.repaired_pixels + frame.dropped_pixels:
+        said.append(f"{frame.repaired_pixels} invalid pixels are mended, {frame.dropped_pixels} are dropped")
+    return said, problems, frame
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """What was recognised of a layer, as far as it was."""
+
+    image: Image
+    colour: Colour | None
+    depth: Found | None
+    motion: Found | None
+    doubts: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def _pieces(image: Image, options: ReadOptions, passes: Passes) -> _Pieces:
+    """Return what can be recognised, though something else may be missing."""
+    problems: list[str] = []
+
+    def attempt(find: Callable[[], Any]) -> Any:
+        try:
+            return find()
+        except SpreadletsError as error:
+            problems.append(str(error))
+            return None
+
+    whole = attempt(lambda: recognise(image, options, passes))
+    if whole is not None:
+        doubts = tuple(f"{image.path}: {doubt}" for doubt in whole.doubts)
+        return _Pieces(whole.colour.image, whole.colour, whole.depth, whole.motion, doubts, ())
+    problems.clear()
+    view = attempt(lambda: image.of_view(options.view)) or image
+    colour = attempt(lambda: find_colour(view, options, passes.alpha))
+    depth = motion = None
+    if colour is not None:
+        depth = attempt(lambda: find_depth(passes.depth or view, colour, options, alone=passes.depth is not None))
+        motion = attempt(
+            lambda: find_motion(passes.motion or view, colour, options, depth, alone=passes.motion is not None)
+        )
+    doubts = tuple(f"{image.path}: {found.doubt}" for found in (depth, motion) if found is not None and found.doubt)
+    return _Pieces(view, colour, depth, motion, doubts, tuple(problems))
 
 
 def _part_info(header: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,7 +175,7 @@ def _part_info(header: Mapping[str, Any]) -> dict[str, Any]:
 def _samples_info(path: PathLike, parts: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the ranges of a sample buffer's labels."""
     samples = read_samples(path, repair=True)
-    found = {name: _range(values, samples.valid) for name, values in samples.labels.items()}
+    found = {name: _range(values[samples.valid]) for name, values in samples.labels.items()}
     height, width = samples.shape
     warnings = _dropped_warning(samples)
     report = {"kind": "samples", "width": width, "height": height, "parts": parts}
@@ -105,66 +187,55 @@ def _dropped_warning(samples: SampleBuffer) -> list[str]:
     return [f"{samples.dropped_samples} samples are invalid"] if samples.dropped_samples else []
 
 
-def _layer_info(
-    image: Image, options: ReadOptions, warnings: list[str], problems: list[str], *, deep: bool
-) -> dict[str, Any]:
-    """Return what one layer's channels were taken for; warnings and problems are added to the lists."""
-    colour: tuple[str, ...] = ()
-    depth: Found | None = None
-    motion: Found | None = None
-    try:
-        colour = find_colour(image, options)
-        depth = find_depth(image, colour, options)
-    except InvalidFileError as error:
-        problems.append(str(error))
-    try:
-        motion = find_motion(image, options)
-    except (InvalidFileError, InvalidParameterError) as error:
-        problems.append(str(error))
-    warnings += [f"{image.path}: {found.doubt}" for found in (depth, motion) if found is not None and found.doubt]
-    report: dict[str, Any] = {
-        "colour": {"channels": list(colour), "alpha": len(colour) == 4} if colour else None,
+def _layer_info(found: _Pieces) -> dict[str, Any]:
+    """Return what one layer's channels were taken for."""
+    colour, depth, motion = found.colour, found.depth, found.motion
+    return {
+        "colour": {"channels": list(colour.names), "alpha": bool(colour.alpha)} if colour else None,
         "depth": {"channel": depth.channels[0], "convention": depth.convention} if depth else None,
         "motion": {"channels": list(motion.channels), "convention": motion.convention} if motion else None,
     }
-    try:
-        if not deep and colour and depth:
-            _add_ranges(report, image, (colour, depth, motion), options, warnings)
-    except (InvalidFileError, InvalidParameterError) as error:
-        problems.append(str(error))
+
+
+def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> dict[str, Any]:
+    """Return what one layer's channels were taken for, with the ranges of its visible values in our units."""
+    report = _layer_info(found)
+    visible = [layer.radiance[..., 3] > 0 for layer in chosen]
+
+    def joined(arrays: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([array[seen] for array, seen in zip(arrays, visible, strict=True)])
+
+    depth = joined([layer.depth for layer in chosen])
+    report["colour"] |= _range(joined([layer.radiance[..., :3] for layer in chosen]))
+    report["depth"] |= {f"{name}_m": value for name, value in _range(depth).items() if name != "not_finite"}
+    report["depth"] |= {"background": int(np.count_nonzero(np.isinf(depth)))}
+    if found.depth is not None and found.depth.image.planes[found.depth.channels[0]].pixels.size:
+        report["depth"] |= _bad_depths(found.depth, visible[0], options)
+    if found.motion is not None:
+        paths = [
+            [path for path in (layer.motion, layer.motion_prev, layer.motion_next) if path is not None]
+            for layer in chosen
+        ]
+        lengths = [np.max([np.hypot(path[..., 0], path[..., 1]) for path in each], axis=0) for each in paths]
+        report["motion"] |= {"longest_px": _range(joined(lengths))["max"] or 0.0}
+        report["motion"] |= {"curved": any(layer.motion_prev is not None for layer in chosen)}
     return report
 
 
-def _add_ranges(
-    report: dict[str, Any],
-    image: Image,
-    found: tuple[Sequence[str], Found, Found | None],
-    options: ReadOptions,
-    warnings: list[str],
-) -> None:
-    """Add the ranges of visible values, in our units, to a layer's report."""
-    colour, depth, motion = found
-    check_same_window(image, [*colour, *depth.channels, *(motion.channels if motion else ())])
-    colours = gather(image, colour)
-    visible = colours[..., 3] > 0 if len(colour) == 4 else np.ones(colours.shape[:2], np.bool_)
-    report["colour"] |= _range(colours[..., :3], visible)
-    stored = gather(image, depth.channels)[..., 0]
-    told = options.depth_convention is not None or options.preset is not None
-    alpha = colours[..., 3] if len(colour) == 4 else None
-    if warning := depth_warning(os.fspath(image.path), depth, stored, alpha, told):
-        warnings.append(warning)
-    planar = planar_depth(depth.convention, stored, options.scale)
-    report["depth"] |= {f"{name}_m": value for name, value in _range(planar, visible).items()}
-    if motion is not None:
-        labels = motion_labels(motion.convention, gather(image, motion.channels), planar, options.scale)
-        lengths = [np.hypot(path[..., 0], path[..., 1]) for path in labels.values()]
-        report["motion"] |= {"longest_px": max(_range(length, visible)["max"] or 0.0 for length in lengths)}
-        report["motion"] |= {"curved": "motion_prev" in labels}
+def _bad_depths(found: Found, visible: BoolArray, options: ReadOptions) -> dict[str, int]:
+    """Return how many visible pixels of a flat layer have no valid depth, and are counted as background if mended."""
+    stored = gather(found.image, found.channels)[..., 0]
+    planar = planar_depth(found.convention, stored, options.scale)
+    if options.background_depth is not None:
+        planar = np.where(background_places(options.background_depth, stored), BACKGROUND_DEPTH, planar)
+    bad = {"not_a_number": np.isnan(planar), "not_positive": planar <= 0}
+    counts = {name: int(np.count_nonzero(places & visible)) for name, places in bad.items()}
+    background = int(np.count_nonzero(visible & np.isposinf(planar)))
+    return {"background": background} | {name: count for name, count in counts.items() if count}
 
 
-def _range(values: FloatArray, places: Any) -> dict[str, Any]:
-    """Return the least and largest finite value at some places, and how many are not finite."""
-    chosen = values[places]
+def _range(chosen: FloatArray) -> dict[str, Any]:
+    """Return the least and largest finite value, and how many are not finite."""
     finite = chosen[np.isfinite(chosen)]
     ends = (float(finite.min()), float(finite.max())) if finite.size else (None, None)
     return {"min": ends[0], "max": ends[1], "not_finite": int(chosen.size - finite.size)}

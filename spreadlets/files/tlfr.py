@@ -1,6 +1,7 @@
 """Sample buffers of *Temporal Light Field Reconstruction* (TLFR; Lehtinen et al. 2011), version 1.3, in and out.
 
-A buffer is a pair of files, ``NAME`` and ``NAME.header``. From the README and the sources of the authors' release:
+A buffer is a pair of files, ``NAME`` and ``NAME.header``, or one file that starts with its header. From the README and
+the sources of the authors' release:
 
 - The header's lines are ``Version 1.3``, ``Width``, ``Height``, ``Samples per pixel``, ``Motion model:``, ``CoC
   coefficients (coc radius = C0/w+C1):``, ``Encoding = text`` or ``binary``, and the names of the columns.
@@ -38,6 +39,8 @@ from spreadlets.scene.samples import SampleBuffer
 HEADER_SUFFIX = ".header"
 COLUMNS = ("x", "y", "z/w", "w", "u", "v", "t", "r", "g", "b", "a", "mv_x", "mv_y", "mv_w", "dwdx", "dwdy")
 VERSION = "1.3"
+MAGIC = b"Version "
+"""How a header starts."""
 MAX_HEADER_BYTES = 1 << 16
 MAX_NUMBER_BYTES = 64
 """Characters that a number may take on average, with its separator; a longer text file is not what its header says."""
@@ -54,17 +57,29 @@ FAR_W = np.float32(1e10)
 
 @dataclass(frozen=True)
 class _Header:
-    """What a header says."""
+    """What a header says, and at which byte of the file the samples start."""
 
     width: int
     height: int
     samples: int
     coc: tuple[float, float]
     binary: bool
+    start: int = 0
 
     @property
     def n_samples(self) -> int:
         return self.width * self.height * self.samples
+
+
+def is_tlfr(path: PathLike) -> bool:
+    """Tell whether a file is a TLFR buffer: whether there is a header beside it, or it starts with one."""
+    if os.path.isfile(os.fspath(path) + HEADER_SUFFIX):
+        return True
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 def read_tlfr(path: PathLike, *, shutter: tuple[float, float] | None = None, repair: bool = False) -> SampleBuffer:
@@ -73,7 +88,7 @@ def read_tlfr(path: PathLike, *, shutter: tuple[float, float] | None = None, rep
     Parameters
     ----------
     path : path
-        The file of samples; its header is ``PATH.header``.
+        The file of samples; its header is ``PATH.header``, or stands at its start.
     shutter : tuple of two floats, optional
         ``(open, close)`` in frames from the frame's time, as in the camera that will be used; by default that of
         `ThinLens`.
@@ -193,14 +208,24 @@ def _checked_shutter(shutter: tuple[float, float]) -> tuple[float, float]:
 
 def _read_header(path: PathLike) -> _Header:
     """Return the parsed header; it is checked before any sample is read."""
-    name = os.fspath(path) + HEADER_SUFFIX
+    beside = os.fspath(path) + HEADER_SUFFIX
+    name = beside if os.path.exists(beside) or not is_tlfr(path) else os.fspath(path)
     if os.path.exists(name) and not os.path.isfile(name):
         raise InvalidFileError(f"{name}: is not a regular file")
     try:
         with open(name, "rb") as file:
-            text = file.read(MAX_HEADER_BYTES + 1).decode("ascii", errors="replace")
+            text = file.read(MAX_HEADER_BYTES + 1).decode("latin-1")  # a byte a character: places are byte offsets
     except OSError as error:
         raise InvalidFileError(f"{name}: cannot be read: {error.strerror}") from error
+    start = 0
+    if name != beside:
+        columns = re.search(rf"^{re.escape(','.join(COLUMNS))}\r?\n", text, re.MULTILINE)
+        if columns is None:
+            raise InvalidFileError(
+                f"{name}: its header must end with a line that names the columns {','.join(COLUMNS)}"
+            )
+        start = columns.end()
+        text = text[:start]
     if len(text) > MAX_HEADER_BYTES:
         raise InvalidFileError(f"{name}: is larger than {MAX_HEADER_BYTES} bytes: this is not a TLFR header")
     version = _entry(name, text, r"Version\s+(\S+)", "Version")
@@ -220,7 +245,7 @@ def _read_header(path: PathLike) -> _Header:
         coc = float(pair[0]), float(pair[1])
     except (ValueError, IndexError):
         raise InvalidFileError(f"{name}: the CoC coefficients are {','.join(pair)!r}; two numbers are needed") from None
-    header = _Header(width, height, samples, coc, word == "binary")
+    header = _Header(width, height, samples, coc, word == "binary", start)
     if not 0 < header.n_samples * len(COLUMNS) <= MAX_VALUES:
         raise InvalidFileError(
             f"{name}: promises {header.n_samples} samples of {len(COLUMNS)} numbers; "
@@ -240,20 +265,22 @@ def _entry(name: str, text: str, pattern: str, key: str) -> str:
 def _read_binary(path: PathLike, header: _Header) -> FloatArray:
     """Return the samples of a binary file, (n, 16)."""
     expected = header.n_samples * len(COLUMNS) * 4
-    size = _size(path)
+    size = _size(path) - header.start
     if size != expected:
         raise InvalidFileError(f"{path}: has {size} bytes; its header promises {expected}")
-    return np.fromfile(path, "<f4").astype(np.float32, copy=False).reshape(-1, len(COLUMNS))
+    return np.fromfile(path, "<f4", offset=header.start).astype(np.float32, copy=False).reshape(-1, len(COLUMNS))
 
 
 def _read_text(path: PathLike, header: _Header) -> FloatArray:
     """Return the samples of a text file, (n, 16), parsed in blocks of lines."""
     count = header.n_samples * len(COLUMNS)
-    if not 2 * count - 1 <= _size(path) <= MAX_NUMBER_BYTES * count:
-        raise InvalidFileError(f"{path}: has {_size(path)} bytes, which cannot be the {count} numbers of its header")
+    size = _size(path) - header.start
+    if not 2 * count - 1 <= size <= MAX_NUMBER_BYTES * count:
+        raise InvalidFileError(f"{path}: has {size} bytes, which cannot be the {count} numbers of its header")
     table = np.empty(count, np.float32)
     done = 0
     with open(path, "rb") as file:
+        file.seek(header.start)
         while block := file.read(BLOCK_BYTES):
             values = _numbers(path, block + file.readline(MAX_NUMBER_BYTES * len(COLUMNS)))
             if done + values.size > count:

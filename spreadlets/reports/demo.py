@@ -12,10 +12,10 @@ from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
+from spreadlets.files.cameras import read_camera
 from spreadlets.files.exr_samples import read_samples
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.report import Report
-from spreadlets.scene.camera import read_camera
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 FRAME = "coins"

@@ -1,13 +1,9 @@
-"""The thin-lens camera: depth to circle of confusion, the shutter interval, and reading camera files."""
+"""The thin-lens camera: depth to circle of confusion, the sensor's fit, and the shutter interval."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,18 +12,9 @@ import numpy.typing as npt
 from spreadlets.errors import InvalidCameraError, InvalidParameterError
 
 LensModel = Literal["renderer", "textbook"]
+SensorFit = Literal["horizontal", "vertical", "auto"]
 
 MM_PER_M = 1000.0
-
-MAX_CAMERA_BYTES = 1 << 20
-"""A camera file holds a few numbers; 1 MiB is far above any real one and keeps a wrong file from filling memory."""
-
-NUMBER_KEYS = ("focal_length_mm", "sensor_width_mm", "f_number", "focus_distance_m")
-SHUTTER_KEY = "shutter_open_close_frames"
-LENS_MODEL_KEY = "lens_model"
-
-INFINITY_NAMES = ("inf", "infinity")
-"""Spellings of a focus at infinity for writers whose JSON has no Infinity (compared in lower case)."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +26,7 @@ class ThinLens:
     focal_length_mm : float
         Focal length in millimetres, > 0.
     sensor_width_mm : float
-        Width of the sensor in millimetres, > 0; it spans the image's width.
+        Width of the sensor in millimetres, > 0; it spans the image's width unless `sensor_fit` says otherwise.
     f_number : float
         Focal length over aperture diameter, > 0.
     focus_distance_m : float
@@ -49,6 +36,11 @@ class ThinLens:
     lens_model : {'renderer', 'textbook'}
         Scale of the circle of confusion: ``f/zf`` as renderers do (measured on Cycles), or the textbook's
         ``f/(zf - f)``.
+    sensor_fit : {'horizontal', 'vertical', 'auto'}
+        Which side of the image the sensor spans: its width the image's width, its height the image's height, or, as in
+        Blender, its width the longer side.
+    sensor_height_mm : float, optional
+        Height of the sensor in millimetres, > 0, for a vertical fit; by default the width is taken.
 
     Raises
     ------
@@ -70,16 +62,49 @@ class ThinLens:
     focus_distance_m: float
     shutter: tuple[float, float] = (-0.25, 0.25)
     lens_model: LensModel = "renderer"
+    sensor_fit: SensorFit = "horizontal"
+    sensor_height_mm: float | None = None
 
     def __post_init__(self) -> None:
-        for key in ("focal_length_mm", "sensor_width_mm", "f_number"):
-            value = _checked_number(key, getattr(self, key))
+        height = () if self.sensor_height_mm is None else ("sensor_height_mm",)
+        for key in ("focal_length_mm", "sensor_width_mm", "f_number", *height):
+            value = checked_number(key, getattr(self, key))
             if not (math.isfinite(value) and value > 0):
                 raise InvalidCameraError(f"{key} is {value:g}; it must be finite and > 0")
-        _check_focus(_checked_number("focus_distance_m", self.focus_distance_m), self.focal_length_mm)
+        _check_focus(checked_number("focus_distance_m", self.focus_distance_m), self.focal_length_mm)
         _check_shutter(self.shutter)
+        if self.sensor_fit not in get_args(SensorFit):
+            raise InvalidCameraError(f"sensor_fit is {self.sensor_fit!r}; allowed are {', '.join(get_args(SensorFit))}")
         if self.lens_model not in get_args(LensModel):
             raise InvalidCameraError(f"lens_model is {self.lens_model!r}; allowed are {', '.join(get_args(LensModel))}")
+
+    def fitted(self, shape: tuple[int, int], pixel_aspect: float = 1.0) -> ThinLens:
+        """Return the camera with the sensor's width that spans the width of an image.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Height and width of the whole image, px.
+        pixel_aspect : float
+            Width over height of a pixel.
+
+        Returns
+        -------
+        ThinLens
+            With a horizontal `sensor_fit`.
+
+        Examples
+        --------
+        >>> camera = sp.ThinLens(100, 36, 1.4, 2, sensor_fit="auto")
+        >>> camera.fitted((160, 90)).sensor_width_mm  # portrait: the 36 mm span the height
+        20.25
+        """
+        height, width = shape[0], shape[1] * pixel_aspect
+        if self.sensor_fit == "horizontal" or (self.sensor_fit == "auto" and width >= height):
+            return self if self.sensor_fit == "horizontal" else replace(self, sensor_fit="horizontal")
+        own_height = self.sensor_height_mm if self.sensor_fit == "vertical" else None
+        spanned = self.sensor_width_mm if own_height is None else own_height
+        return replace(self, sensor_width_mm=spanned * width / height, sensor_fit="horizontal", sensor_height_mm=None)
 
     @property
     def aperture_diameter_m(self) -> float:
@@ -111,6 +136,8 @@ class ThinLens:
         """
         if not image_width > 0:
             raise InvalidParameterError(f"image_width is {image_width}; it must be > 0 pixels")
+        if self.sensor_fit != "horizontal":
+            raise InvalidParameterError(f"the sensor's fit is {self.sensor_fit}; take camera.fitted((height, width))")
         focal_length_px = self.focal_length_mm / self.sensor_width_mm * image_width
         scale = 0.5 * self.aperture_diameter_m * focal_length_px
         if self.lens_model == "textbook":
@@ -147,84 +174,7 @@ class ThinLens:
         return np.asarray(radius, dtype=dtype)
 
 
-def read_camera(path: str | os.PathLike[str]) -> ThinLens:
-    """Read a camera from a JSON file.
-
-    Parameters
-    ----------
-    path : path
-        JSON object with the numbers ``focal_length_mm``, ``sensor_width_mm``, ``f_number``, ``focus_distance_m``
-        (``Infinity`` or ``"inf"`` is allowed) and the pair ``shutter_open_close_frames``; optionally ``lens_model``.
-        Other keys are ignored.
-
-    Returns
-    -------
-    ThinLens
-
-    Raises
-    ------
-    InvalidCameraError
-        If the file is missing, too large, not such JSON, lacks a key, or describes an impossible camera; the message
-        starts with the path.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> _ = Path("camera.json").write_text(
-    ...     '{"focal_length_mm": 50, "sensor_width_mm": 36, "f_number": 2, "focus_distance_m": 3,'
-    ...     ' "shutter_open_close_frames": [-0.25, 0.25]}'
-    ... )
-    >>> sp.read_camera("camera.json").shutter_duration
-    0.5
-    """
-    try:
-        return _camera_from_mapping(_read_object(Path(path)))
-    except InvalidCameraError as error:
-        raise InvalidCameraError(f"{path}: {error}") from None
-
-
-def _read_object(path: Path) -> Mapping[str, object]:
-    """Return the JSON object in a file of at most `MAX_CAMERA_BYTES`."""
-    if path.exists() and not path.is_file():
-        raise InvalidCameraError("the camera file cannot be read: it is not a regular file")
-    try:
-        with path.open("rb") as file:
-            text = file.read(MAX_CAMERA_BYTES + 1)
-    except OSError as error:
-        raise InvalidCameraError(f"the camera file cannot be read: {error.strerror}") from error
-    if len(text) > MAX_CAMERA_BYTES:
-        raise InvalidCameraError(f"is larger than {MAX_CAMERA_BYTES} bytes: this is not a camera file")
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InvalidCameraError(f"is not valid JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise InvalidCameraError(f"holds a JSON {type(content).__name__}; a camera is an object with named values")
-    return content
-
-
-def _camera_from_mapping(content: Mapping[str, object]) -> ThinLens:
-    """Return the camera that a parsed JSON object describes."""
-    missing = [key for key in (*NUMBER_KEYS, SHUTTER_KEY) if key not in content]
-    if missing:
-        raise InvalidCameraError(f"lacks {', '.join(missing)}; needed are {', '.join((*NUMBER_KEYS, SHUTTER_KEY))}")
-    focus = content["focus_distance_m"]
-    if isinstance(focus, str) and focus.lower() in INFINITY_NAMES:
-        focus = math.inf
-    shutter = content[SHUTTER_KEY]
-    if not isinstance(shutter, list) or len(shutter) != 2:
-        raise InvalidCameraError(f"{SHUTTER_KEY} is {shutter!r}; it must be a pair [open, close] in frames")
-    return ThinLens(
-        focal_length_mm=_checked_number("focal_length_mm", content["focal_length_mm"]),
-        sensor_width_mm=_checked_number("sensor_width_mm", content["sensor_width_mm"]),
-        f_number=_checked_number("f_number", content["f_number"]),
-        focus_distance_m=_checked_number("focus_distance_m", focus),
-        shutter=(_checked_number("shutter open", shutter[0]), _checked_number("shutter close", shutter[1])),
-        lens_model=content.get(LENS_MODEL_KEY, "renderer"),  # type: ignore[arg-type]  # ThinLens checks the name
-    )
-
-
-def _checked_number(name: str, value: object) -> float:
+def checked_number(name: str, value: object) -> float:
     """Return a real number as a float; booleans, strings and NaN are refused, infinities are left to the caller."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InvalidCameraError(f"{name} is {value!r}; it must be a number")
@@ -250,7 +200,7 @@ def _check_shutter(shutter: tuple[float, float]) -> None:
     """Raise InvalidCameraError unless the shutter is a finite pair that does not close before it opens."""
     if not isinstance(shutter, tuple) or len(shutter) != 2:
         raise InvalidCameraError(f"shutter is {shutter!r}; it must be a pair (open, close) in frames")
-    opens, closes = (_checked_number(f"shutter {name}", t) for name, t in zip(("open", "close"), shutter, strict=True))
+    opens, closes = (checked_number(f"shutter {name}", t) for name, t in zip(("open", "close"), shutter, strict=True))
     if not (math.isfinite(opens) and math.isfinite(closes)):
         raise InvalidCameraError(f"shutter is ({opens:g}, {closes:g}); both times must be finite")
     if closes < opens:

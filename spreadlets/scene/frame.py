@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -11,11 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, FloatArray
-from spreadlets.errors import InvalidFrameError
+from spreadlets.errors import AmbiguousInputWarning, InvalidFrameError, option
 from spreadlets.scene.raster import Raster, Window, placed
 
 ALPHA_TOLERANCE = 1e-3
-"""Alpha may leave [0, 1] by this much and is clipped: half floats near 1 step by 5e-4, and filters overshoot."""
+"""Alpha may leave [0, 1] by this much and is clipped without a word: half floats near 1 step by 5e-4."""
+
+ALPHA_OVERSHOOT = 0.05
+"""Alpha may leave [0, 1] by this much and is clipped with a warning: sharpening pixel filters overshoot."""
+
+LIKE_DEPTH = 1.1
+"""Ratio of depths up to which two neighbouring pixels count as one surface when a colour is mended."""
 
 BACKGROUND_DEPTH = np.float32(np.inf)
 
@@ -71,14 +78,21 @@ class Frame:
     raster : Raster, optional
         Where the pixels lie: the data window has the arrays' shape. By default all of them are displayed, as squares.
     repair : bool
-        Drop offending pixels (alpha and radiance 0) and count them in `dropped_pixels` instead of raising.
+        Mend offending pixels and count them in `repaired_pixels` instead of raising: a bad depth becomes background, a
+        bad motion still, alpha is clipped, and a bad colour is filled from valid neighbours of like depth.
 
     Raises
     ------
     InvalidFrameError
-        If shapes are wrong or disagree or, unless `repair`, if a pixel has non-finite radiance or alpha outside [0, 1],
-        or has alpha > 0 and a depth that is NaN or <= 0 or motion that is not finite. The message names the array,
-        the first offending pixel as (row, col), how many there are, and what is allowed.
+        If shapes are wrong or disagree, if the radiance is 8-bit or, unless `repair`, if a pixel has non-finite
+        radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
+        <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row, col), how
+        many there are, and what is allowed.
+
+    Warns
+    -----
+    AmbiguousInputWarning
+        If alpha leaves [0, 1] by more than rounding does, and is clipped.
 
     Notes
     -----
@@ -110,9 +124,8 @@ class Frame:
         repair: bool = False,
     ) -> None:
         layer = _converted_layer(radiance, depth, (motion, motion_prev, motion_next), raster)
-        layer, dropped = _validated_layer(layer, repair)
+        layer, self._repaired_pixels, self._dropped_pixels = _validated_layer(layer, repair)
         self._layers: tuple[Layer, ...] = (layer,)
-        self._dropped_pixels = dropped
 
     @classmethod
     def from_layers(cls, layers: Iterable[Frame | tuple[npt.ArrayLike, ...]], *, repair: bool = False) -> Frame:
@@ -149,12 +162,15 @@ class Frame:
         stored = functools.reduce(Window.union, (frame.raster.stored or frame.raster.data for frame in frames))
         shared = replace(first, data=window, stored=None if stored == window else stored)
         placed_layers = [_placed_layer(layer, shared) for frame in frames for layer in frame.layers]
-        return cls.of(placed_layers, sum(frame.dropped_pixels for frame in frames))
+        dropped, repaired = (sum(getattr(f, name) for f in frames) for name in ("dropped_pixels", "repaired_pixels"))
+        return cls.of(placed_layers, dropped, repaired)
 
     def reaching(self, window: Window) -> Frame:
         """Return the frame with empty pixels around it, in a data window that holds its own."""
         return Frame.of(
-            [_placed_layer(layer, self.raster.reaching(window)) for layer in self.layers], self.dropped_pixels
+            [_placed_layer(layer, self.raster.reaching(window)) for layer in self.layers],
+            self.dropped_pixels,
+            self.repaired_pixels,
         )
 
     def lying_at(self, raster: Raster) -> Frame:
@@ -166,17 +182,23 @@ class Frame:
             If the data window has another shape.
         """
         _check_raster(raster, self.shape)
-        return Frame.of([replace(layer, raster=raster) for layer in self.layers], self.dropped_pixels)
+        return Frame.of(
+            [replace(layer, raster=raster) for layer in self.layers], self.dropped_pixels, self.repaired_pixels
+        )
 
     def coloured(self, radiance: FloatArray) -> Frame:
         """Return the frame with another radiance (H, W, 4) in its only layer."""
-        return Frame.of([replace(self._only_layer(), radiance=image_array("radiance", radiance))], self.dropped_pixels)
+        return Frame.of(
+            [replace(self._only_layer(), radiance=image_array("radiance", radiance))],
+            self.dropped_pixels,
+            self.repaired_pixels,
+        )
 
     @classmethod
-    def of(cls, layers: Sequence[Layer], dropped_pixels: int = 0) -> Frame:
+    def of(cls, layers: Sequence[Layer], dropped_pixels: int = 0, repaired_pixels: int = 0) -> Frame:
         """Return a frame of layers that were made of another frame's, and are valid as those were."""
         made = cls.__new__(cls)
-        made._layers, made._dropped_pixels = tuple(layers), dropped_pixels
+        made._layers, made._dropped_pixels, made._repaired_pixels = tuple(layers), dropped_pixels, repaired_pixels
         return made
 
     @property
@@ -195,8 +217,13 @@ class Frame:
         return self._layers[0].shape
 
     @property
+    def repaired_pixels(self) -> int:
+        """How many pixels `repair` mended, over all layers."""
+        return self._repaired_pixels
+
+    @property
     def dropped_pixels(self) -> int:
-        """How many pixels `repair` dropped, over all layers."""
+        """How many pixels, or samples of a deep image, `repair` could not mend and made empty, over all layers."""
         return self._dropped_pixels
 
     @property
@@ -327,6 +354,11 @@ def _converted_layer(
 ) -> Layer:
     """Return a layer of contiguous float32 arrays whose shapes agree; the values are not looked at."""
     colour = image_array("radiance", radiance)
+    if np.asarray(radiance).dtype.itemsize == 1:
+        raise InvalidFrameError(
+            "radiance holds 8-bit integers, as a picture for display does; a frame holds linear values: divide by 255 "
+            "and undo the display's encoding"
+        )
     height, width = colour.shape[:2]
     raster = raster or Raster.of_shape((height, width))
     _check_raster(raster, (height, width))
@@ -386,40 +418,83 @@ def _label_array(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Fl
     return array
 
 
-def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int]:
-    """Return the layer with clipped alpha and harmless labels on empty pixels, and how many pixels were dropped."""
-    dropped = np.zeros(layer.shape, np.bool_)
-    for problem in _problems(layer):
-        if not repair:
-            raise InvalidFrameError(f"{problem.message()} (or repair the frame, which drops these pixels)")
-        dropped |= problem.places
-    radiance = replaced(layer.radiance, dropped, np.float32(0))
-    alpha = radiance[..., 3]
-    outside = (alpha < 0) | (alpha > 1)
-    if outside.any():
-        radiance = radiance.copy()
-        radiance[..., 3] = np.clip(alpha, 0, 1)
-    # What is left to mend lies on empty pixels: visible ones were refused or dropped above.
+def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int, int]:
+    """Return the layer with clipped alpha and mended labels, and how many pixels were mended and how many dropped."""
+    problems = _problems(layer)
+    if problems and not repair:
+        raise InvalidFrameError(f"{problems[0].message()} (or {option('repair')}, which mends these pixels)")
+    bad = (
+        np.logical_or.reduce([problem.places for problem in problems]) if problems else np.zeros(layer.shape, np.bool_)
+    )
+    depth = replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH)
+    radiance, dropped = _filled(layer.radiance, depth) if problems else (layer.radiance, 0)
     before, after = layer.motion_prev, layer.motion_next
     mended = replace(
         layer,
-        radiance=radiance,
-        depth=replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH),
+        radiance=_clipped(radiance, quiet=repair),
+        depth=depth,
         motion=replaced(layer.motion, _not_finite(layer.motion), np.float32(0)),
         motion_prev=None if before is None else replaced(before, _not_finite(before), np.float32(0)),
         motion_next=None if after is None else replaced(after, _not_finite(after), np.float32(0)),
     )
-    return mended, int(np.count_nonzero(dropped))
+    return mended, int(np.count_nonzero(bad)) - dropped, dropped
+
+
+def _clipped(radiance: FloatArray, *, quiet: bool) -> FloatArray:
+    """Return the radiance with alpha in [0, 1]; a warning tells where it left that by more than rounding does."""
+    alpha = radiance[..., 3]
+    if not ((alpha < 0) | (alpha > 1)).any():
+        return radiance
+    outside = int(np.count_nonzero((alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE)))
+    if outside and not quiet:
+        warnings.warn(
+            f"alpha is {alpha.min():.3g} to {alpha.max():.3g}, as sharpening filters make it, outside 0 to 1 at "
+            f"{outside} pixels; it is clipped",
+            AmbiguousInputWarning,
+            stacklevel=5,
+        )
+    radiance = radiance.copy()
+    radiance[..., 3] = np.clip(alpha, 0, 1)
+    return radiance
+
+
+def _filled(radiance: FloatArray, depth: FloatArray) -> tuple[FloatArray, int]:
+    """Return the radiance with bad colours filled, ring by ring, from the valid neighbours that are nearest in depth.
+
+    Neighbours within `LIKE_DEPTH` of the nearest in depth are averaged. Where there is no valid pixel at all, pixels
+    are dropped; their number is returned.
+    """
+    valid = ~_not_finite(radiance)
+    if not valid.any():
+        return np.zeros_like(radiance), valid.size
+    radiance = radiance.copy()
+    inverse = np.pad(np.float32(1) / depth, 1)
+    while not valid.all():
+        shown, there = np.pad(radiance, ((1, 1), (1, 1), (0, 0))), np.pad(valid, 1)
+        rows, cols = np.nonzero(~valid)
+        steps = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
+        around = np.stack([there[rows + row, cols + col] for row, col in steps])
+        filled = around.any(axis=0)
+        rows, cols, around = rows[filled], cols[filled], around[:, filled]
+        own = inverse[rows + 1, cols + 1]
+        other = np.stack([inverse[rows + row, cols + col] for row, col in steps])
+        apart = np.where(around, np.abs(other - own), np.inf)
+        chosen = around & (apart <= apart.min(axis=0) + (LIKE_DEPTH - 1) * own)
+        colours = np.stack([shown[rows + row, cols + col] for row, col in steps])
+        weight = chosen[..., None].astype(np.float32)
+        radiance[rows, cols] = np.where(weight > 0, colours, 0).sum(axis=0) / weight.sum(axis=0)
+        valid[rows, cols] = True
+    return radiance, 0
 
 
 def _problems(layer: Layer) -> list[Problem]:
     """Return what is wrong with a layer's values, one array and kind at a time."""
     checks = [Problem("radiance", "not finite", "finite linear values", _not_finite(layer.radiance))]
     alpha = layer.radiance[..., 3]
-    wrong_alpha = (alpha < -ALPHA_TOLERANCE) | (alpha > 1 + ALPHA_TOLERANCE)
+    wrong_alpha = (alpha < -ALPHA_OVERSHOOT) | (alpha > 1 + ALPHA_OVERSHOOT)
     checks.append(Problem("alpha (the fourth channel of radiance)", "out of range", "0 to 1", wrong_alpha))
     visible = alpha > 0
-    metres = "metres > 0, or inf for background"
+    metres = "metres > 0, or inf for background" + _turned(layer.depth, visible)
     checks.append(Problem("depth", "NaN", metres, visible & np.isnan(layer.depth)))
     checks.append(Problem("depth", "zero or negative", metres, visible & (layer.depth <= 0)))
     paths = {"motion_prev": layer.motion_prev, "motion_next": layer.motion_next, "motion": layer.motion}
@@ -427,6 +502,14 @@ def _problems(layer: Layer) -> list[Problem]:
         if path is not None:
             checks.append(Problem(name, "not finite", "finite px per frame", visible & _not_finite(path)))
     return [check for check in checks if check.places.any()]
+
+
+def _turned(depth: FloatArray, visible: BoolArray) -> str:
+    """Return a remark if the depth of everything visible is negative."""
+    seen = depth[visible]
+    if seen.size and seen.max() < 0:
+        return f"; all depths are negative: the sign is turned, say {option('depth_scale')} -1"
+    return ""
 
 
 def replaced(array: FloatArray, places: BoolArray, value: np.float32) -> FloatArray:

@@ -15,11 +15,12 @@ import numpy.typing as npt
 from spreadlets.api import DensePsfs, build_database
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
+from spreadlets.files.cameras import read_camera
 from spreadlets.files.exr_frames import read_frame, read_image
 from spreadlets.files.exr_samples import read_samples
 from spreadlets.psf.database import Database, open_database
 from spreadlets.reports.demo import DATA, DATABASE
-from spreadlets.scene.camera import ThinLens, read_camera
+from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 

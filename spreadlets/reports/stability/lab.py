@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from spreadlets.api import synthesize
+from spreadlets.errors import AmbiguousInputWarning
 from spreadlets.psf.database import Database
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -52,6 +53,7 @@ class Lab:
         """Synthesise a frame, pixel by pixel unless a tolerance is given; return the image (H, W, 4) in float64."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*beyond the database's range")
+            warnings.simplefilter("ignore", AmbiguousInputWarning)  # extreme cases are doubtful, as they should be
             image = synthesize(frame, camera, self.database, **({"tolerance": 0.0} | options))
         return np.asarray(image, np.float64)
 

@@ -1,7 +1,6 @@
 """The command line as scripts call it: JSON on standard output, one line for an error, nothing half-written."""
 
 import json
-import sys
 from pathlib import Path
 
 import h5py
@@ -22,22 +21,6 @@ CAMERA = {
     "focus_distance_m": 4.0,
     "shutter_open_close_frames": [-0.25, 0.25],
 }
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, recwarn):
-    def run_command(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spreadlets", *map(str, arguments)])
-        monkeypatch.setattr("warnings.showwarning", None)
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            status = stop.code
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run_command
 
 
 @pytest.fixture
@@ -89,7 +72,7 @@ def test_switches_reach_the_result(run, scene, small_combined_path):
     assert not np.allclose(images["--no-motion"], images["--json"], atol=1e-3)
 
 
-def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
+def test_repair_mends_invalid_pixels_and_says_how_many(run, scene, small_combined_path):
     frame = exr.read_frame(scene / "frame.exr")
     depth = frame.depth.copy()
     depth[3, 4:6] = -1.0
@@ -97,7 +80,7 @@ def test_repair_drops_invalid_pixels_and_says_how_many(run, scene, small_combine
     OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(scene / "frame.exr"))
     assert run(*synth_arguments(scene, small_combined_path))[0] == 2
     status, _, err = run(*synth_arguments(scene, small_combined_path), "--repair")
-    assert status == 0 and "2 invalid pixels were dropped" in err
+    assert status == 0 and "2 invalid pixels were mended, 0 dropped" in err
 
 
 def test_several_frames_are_layers(run, scene, small_combined_path):
@@ -308,7 +291,7 @@ def test_for_needs_a_camera_and_a_camera_frames_unless_the_model_depends_on_it(r
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--camera", scene / "camera.json")
     assert status == 2 and "only together with the frames" in err
     status, _, err = run("build", "combined", "-o", scene / "part.h5", "--for", scene / "frame.exr")
-    assert status == 2 and "--for needs --camera" in err
+    assert status == 2 and "no camera: give --camera FILE" in err
 
 
 def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):

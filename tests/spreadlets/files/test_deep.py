@@ -326,9 +326,11 @@ def test_bad_deep_samples_are_refused_or_dropped_and_empty_ones_ignored(tmp_path
     path = write(tmp_path / "deep.exr", flat, np.ones(SHAPE, np.int64))
     with pytest.raises(InvalidFrameError, match=r"deep\.exr: depth .* at 1 of 23 deep samples, first at \(row 1,"):
         exr.read_frame(path)
-    with pytest.warns(UserWarning, match="1 invalid deep samples were dropped"):
+    with pytest.warns(UserWarning, match="1 invalid deep samples were mended"):
         frame = exr.read_frame(path, repair=True)
-    assert np.count_nonzero(frame.layers[0].radiance[..., 3]) == 22
+    alpha = np.sum([layer.radiance[..., 3] > 0 for layer in frame.layers], axis=0)
+    assert np.count_nonzero(alpha) == 23
+    assert sum(np.count_nonzero(np.isinf(each.depth) & (each.radiance[..., 3] > 0)) for each in frame.layers) == 1
 
 
 @pytest.mark.parametrize(
@@ -478,3 +480,46 @@ def test_lies_about_the_number_of_chunks_are_refused(tmp_path, count):
         deep_sample_bytes(path)
     with pytest.raises(InvalidFileError):
         exr.read_frame(path)
+
+
+def deep_scene(objects):
+    """Discs at depths, (mask, depth, colour), each opaque."""
+    objects = sorted(objects, key=lambda item: item[1])
+    counts = sum(mask.astype(np.int64) for mask, _, _ in objects)
+    found = [(colour, z) for place in np.ndindex(counts.shape) for mask, z, colour in objects if mask[place]]
+    radiance = np.array([(*colour, 1) for colour, _ in found], np.float32)
+    z = np.array([z for _, z in found], np.float32)
+    return DeepImage(counts, radiance, z, z)
+
+
+def test_deep_files_of_one_scene_are_merged_sample_by_sample(tmp_path):
+    """Each file holds something in front of and behind what the other holds."""
+    rng = np.random.default_rng(3)
+    masks = rng.random((4, 10, 12)) < 0.5
+    objects = [(mask, z, rng.random(3)) for mask, z in zip(masks, (2.0, 3.0, 6.0, 9.0), strict=True)]
+    parts = objects[0::2], objects[1::2]
+    for name, part in zip("ab", parts, strict=True):
+        write_deep(tmp_path / f"{name}.exr", deep_scene(part))
+    write_deep(tmp_path / "whole.exr", deep_scene(objects))
+    whole = exr.read_frame(tmp_path / "whole.exr")
+    for order in ("ab", "ba"):
+        frame = exr.read_frame([tmp_path / f"{name}.exr" for name in order])
+        for layer, truth in zip(frame.layers, whole.layers, strict=True):
+            np.testing.assert_array_equal(layer.radiance, truth.radiance)
+            np.testing.assert_array_equal(layer.depth, truth.depth)
+
+
+def test_deep_images_of_other_shapes_are_not_merged():
+    images = [random_image(), deep_scene([(np.ones((2, 2), bool), 1.0, (1, 1, 1))])]
+    with pytest.raises(InvalidFrameError, match="deep image 1 has shape"):
+        DeepImage.merged(images)
+
+
+def test_alpha_of_deep_files_may_have_other_names(tmp_path):
+    counts = np.ones(SHAPE, np.int64)
+    for names in ({"AR": 0.25, "AG": 0.5, "AB": 0.75}, {"alpha": 0.5}):
+        flat = {name: value for name, value in channels(24).items() if name != "A"}
+        path = write(
+            tmp_path / "deep.exr", flat | {name: np.full(24, v, np.float32) for name, v in names.items()}, counts
+        )
+        assert np.allclose(exr.read_frame(path).layers[0].radiance[..., 3], 0.5)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from spreadlets.errors import InvalidCameraError, InvalidParameterError
-from spreadlets.scene.camera import MAX_CAMERA_BYTES, ThinLens, read_camera
+from spreadlets.scene.camera import ThinLens
 
 VALUES = {
     "focal_length_mm": 85.0,
@@ -112,37 +112,32 @@ def test_unknown_lens_models_are_refused_with_the_allowed_ones():
         lens(lens_model="pinhole")
 
 
-def test_read_camera(tmp_path):
-    path = write_json(tmp_path / "camera.json", scene="coins", lens_model="textbook")
-    assert read_camera(path) == lens(shutter=(-0.25, 0.25), lens_model="textbook")
+@pytest.mark.parametrize(
+    ("fit", "shape", "width"),
+    [
+        ("horizontal", (160, 90), 36),
+        ("auto", (160, 90), 20.25),
+        ("auto", (90, 160), 36),
+        ("vertical", (90, 160), 24 * 160 / 90),
+        ("vertical", (160, 90), 24 * 90 / 160),
+    ],
+)
+def test_the_sensor_spans_the_side_that_its_fit_says(fit, shape, width):
+    camera = lens(sensor_width_mm=36.0, sensor_height_mm=24.0, sensor_fit=fit).fitted(shape)
+    assert camera.sensor_width_mm == pytest.approx(width) and camera.sensor_fit == "horizontal"
 
 
-@pytest.mark.parametrize("value", [math.inf, "inf", "Infinity"])
-def test_read_camera_accepts_a_focus_at_infinity(tmp_path, value):
-    assert read_camera(write_json(tmp_path / "camera.json", focus_distance_m=value)).focus_distance_m == math.inf
+def test_pixels_that_are_not_square_count_in_the_fit():
+    assert lens(sensor_width_mm=36.0, sensor_fit="auto").fitted((100, 60), 2.0).sensor_width_mm == 36
 
 
-@pytest.mark.parametrize("key", VALUES)
-@pytest.mark.parametrize("value", [..., "six", None, [1], math.nan])
-def test_read_camera_names_the_bad_key_and_the_file(tmp_path, key, value):
-    path = write_json(tmp_path / "camera.json", **{key: value})
-    with pytest.raises(InvalidCameraError, match=rf"camera\.json.*{key}"):
-        read_camera(path)
+def test_a_camera_that_was_not_fitted_makes_no_circles():
+    with pytest.raises(InvalidParameterError, match="take camera.fitted"):
+        lens(sensor_fit="auto").coc_radius(2.0, 100)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "7", "[" * 100_000, "\x00\xff", '{"f_number": ' + "9" * 5000 + "}"])
-def test_read_camera_refuses_what_is_no_json_object(tmp_path, text):
-    path = tmp_path / "camera.json"
-    path.write_text(text, encoding="latin-1")
-    with pytest.raises(InvalidCameraError, match=r"camera\.json.*JSON"):
-        read_camera(path)
-
-
-def test_read_camera_refuses_huge_files_missing_files_and_folders(tmp_path):
-    huge = tmp_path / "huge.json"
-    huge.write_bytes(b" " * (MAX_CAMERA_BYTES + 1))
-    with pytest.raises(InvalidCameraError, match="larger than"):
-        read_camera(huge)
-    for path in (tmp_path / "absent.json", tmp_path):
-        with pytest.raises(InvalidCameraError, match="cannot be read"):
-            read_camera(path)
+def test_unknown_fits_and_impossible_heights_are_refused():
+    with pytest.raises(InvalidCameraError, match="sensor_fit is 'wide'; allowed are horizontal, vertical, auto"):
+        lens(sensor_fit="wide")
+    with pytest.raises(InvalidCameraError, match="sensor_height_mm is 0"):
+        lens(sensor_height_mm=0.0)

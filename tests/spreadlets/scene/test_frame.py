@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spreadlets.errors import InvalidFrameError
+from spreadlets.errors import AmbiguousInputWarning, InvalidFrameError
 from spreadlets.scene.frame import Frame
 
 SHAPE = (4, 6)
@@ -124,22 +124,70 @@ def test_bad_values_are_refused_naming_array_pixel_and_count(name, value, label,
 
 
 @pytest.mark.parametrize(("name", "value", "label", "what"), OFFENCES)
-def test_repair_drops_exactly_the_bad_pixels(name, value, label, what):
+def test_repair_mends_exactly_the_bad_pixels(name, value, label, what):
+    """A bad label leaves the colour as it is; a bad colour is that of the pixels around, which are all alike here."""
     values = spoiled(name, ([1, 3], [4, 0]), value)
+    colour = np.broadcast_to(np.float32([0.25, 0.5, 0.75, 1]), (*SHAPE, 4))
+    good = np.isfinite(values["radiance"]) & (np.abs(values["radiance"]) < 1e38)
+    values["radiance"][good] = colour[good]
+    if label == "alpha":
+        values["radiance"][[1, 3], [4, 0], 3] = value[3]
     before = values[name].copy()
     frame = Frame(**values, repair=True)
-    assert frame.dropped_pixels == 2
-    dropped = np.zeros(SHAPE, bool)
-    dropped[[1, 3], [4, 0]] = True
-    np.testing.assert_array_equal(~frame.radiance.any(axis=2), dropped)
+    assert (frame.repaired_pixels, frame.dropped_pixels) == (2, 0)
+    if label == "alpha":
+        np.testing.assert_array_equal(frame.radiance[[1, 3], [4, 0], 3], 1 if value[3] > 1 else 0)
+    else:
+        np.testing.assert_array_equal(frame.radiance, colour)
+    if label == "depth":
+        bad = np.zeros(SHAPE, bool)
+        bad[[1, 3], [4, 0]] = True
+        np.testing.assert_array_equal(np.isinf(frame.depth), bad)
+    if label == "motion":
+        assert not frame.motion[[1, 3], [4, 0]].any()
     assert (frame.depth > 0).all() and np.isfinite(frame.motion).all()
     np.testing.assert_array_equal(values[name], before, err_msg="the caller's array was changed")
 
 
-def test_a_pixel_with_several_faults_is_dropped_once():
+def test_a_pixel_with_several_faults_is_mended_once():
     values = arrays()
     values["radiance"][0, 0], values["depth"][0, 0], values["motion"][0, 0] = np.nan, -1, np.nan
-    assert Frame(**values, repair=True).dropped_pixels == 1
+    assert Frame(**values, repair=True).repaired_pixels == 1
+
+
+def test_a_bad_colour_comes_from_the_surface_that_it_belongs_to():
+    """A block of bad pixels over the edge of a near, red surface before a far, blue one."""
+    radiance, depth = np.zeros((8, 10, 4), np.float32), np.full((8, 10), 20, np.float32)
+    radiance[..., 2:] = 1
+    radiance[:, :5], depth[:, :5] = (1, 0, 0, 1), 2
+    truth = radiance.copy()
+    radiance[2:6, 3:8] = np.nan
+    frame = Frame(radiance, depth, repair=True)
+    np.testing.assert_array_equal(frame.radiance, truth)
+    assert frame.repaired_pixels == 20
+
+
+def test_a_frame_without_any_valid_colour_is_dropped():
+    frame = Frame(np.full((2, 3, 3), np.nan), np.ones((2, 3)), repair=True)
+    assert (frame.repaired_pixels, frame.dropped_pixels) == (0, 6) and not frame.radiance.any()
+
+
+def test_alpha_of_a_sharpening_filter_is_clipped_with_a_warning():
+    values = arrays()
+    values["radiance"][0, :2, 3] = 1.02, -0.02
+    with pytest.warns(AmbiguousInputWarning, match="alpha is -0.02 to 1.02.*at 2 pixels; it is clipped"):
+        alpha = Frame(**values).radiance[..., 3]
+    assert alpha[0, 0] == 1 and alpha[0, 1] == 0
+
+
+def test_eight_bit_pictures_are_no_radiance():
+    with pytest.raises(InvalidFrameError, match="radiance holds 8-bit integers"):
+        Frame(np.ones((4, 6, 3), np.uint8), np.ones((4, 6)))
+
+
+def test_the_sign_of_depth_is_named_when_all_of_it_is_negative():
+    with pytest.raises(InvalidFrameError, match="the sign is turned, say depth_scale -1"):
+        Frame(np.ones((4, 6, 3)), np.full((4, 6), -2.0))
 
 
 def test_background_depth_is_allowed():
@@ -179,7 +227,7 @@ def test_from_layers_stacks_frames_and_tuples():
 def test_from_layers_repairs_and_counts():
     bad = spoiled("depth", (0, 0), -1)
     layers = [tuple(bad.values()), Frame(**bad, repair=True)]
-    assert Frame.from_layers(layers, repair=True).dropped_pixels == 2
+    assert Frame.from_layers(layers, repair=True).repaired_pixels == 2
     with pytest.raises(InvalidFrameError, match="layer 0: depth"):
         Frame.from_layers(layers)
 

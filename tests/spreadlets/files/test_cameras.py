@@ -1,0 +1,235 @@
+"""Cameras from JSON, from the attributes of OpenEXR files, from USD, and from single values."""
+
+import json
+import math
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from spreadlets.errors import AmbiguousInputWarning, InvalidCameraError, MissingPackageError, option, options_spelled
+from spreadlets.files.cameras import MAX_CAMERA_BYTES, attribute_values, frame_camera, parse_shutter, read_camera
+from spreadlets.scene.camera import ThinLens
+
+VALUES = {"focal_length_mm": 85.0, "sensor_width_mm": 36.0, "f_number": 2.0, "focus_distance_m": 3.0}
+
+
+def lens(**changes):
+    return ThinLens(**(VALUES | {"shutter": (-0.25, 0.25)} | changes))
+
+
+def write_json(path, **changes):
+    content = VALUES | {"shutter_open_close_frames": [-0.25, 0.25]} | changes
+    path.write_text(json.dumps({key: value for key, value in content.items() if value is not ...}))
+    return path
+
+
+def write_exr(path, **attributes):
+    plane = np.ones((2, 2), np.float32)
+    OpenEXR.File({"type": OpenEXR.scanlineimage, **attributes}, {"R": plane}).write(str(path))
+    return path
+
+
+def test_read_camera(tmp_path):
+    path = write_json(tmp_path / "camera.json", scene="coins", lens_model="textbook")
+    assert read_camera(path) == lens(shutter=(-0.25, 0.25), lens_model="textbook")
+
+
+@pytest.mark.parametrize("value", [math.inf, "inf", "Infinity"])
+def test_read_camera_accepts_a_focus_at_infinity(tmp_path, value):
+    assert read_camera(write_json(tmp_path / "camera.json", focus_distance_m=value)).focus_distance_m == math.inf
+
+
+@pytest.mark.parametrize("key", VALUES)
+@pytest.mark.parametrize("value", [..., "six", None, [1], math.nan])
+def test_read_camera_names_the_bad_key_and_the_file(tmp_path, key, value):
+    path = write_json(tmp_path / "camera.json", **{key: value})
+    with pytest.raises(InvalidCameraError, match=rf"camera\.json.*{key}"):
+        read_camera(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "7", "[" * 100_000, "\x00\xff", '{"f_number": ' + "9" * 5000 + "}"])
+def test_read_camera_refuses_what_is_no_json_object(tmp_path, text):
+    path = tmp_path / "camera.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(InvalidCameraError, match=r"camera\.json.*JSON"):
+        read_camera(path)
+
+
+def test_read_camera_refuses_huge_files_missing_files_and_folders(tmp_path):
+    huge = tmp_path / "huge.json"
+    huge.write_bytes(b" " * (MAX_CAMERA_BYTES + 1))
+    with pytest.raises(InvalidCameraError, match="larger than"):
+        read_camera(huge)
+    for path in (tmp_path / "absent.json", tmp_path):
+        with pytest.raises(InvalidCameraError, match="cannot be read"):
+            read_camera(path)
+
+
+def test_unknown_keys_are_named_with_what_may_be_meant(tmp_path):
+    path = write_json(tmp_path / "camera.json", lens_modle="textbook", iso=100, renderer="x")
+    with pytest.warns(AmbiguousInputWarning, match=r"iso, lens_modle \(did you mean lens_model\?\); known are"):
+        assert read_camera(path) == lens()
+
+
+def test_the_sensors_fit_is_read_as_blender_writes_it(tmp_path):
+    path = write_json(tmp_path / "camera.json", sensor_fit="AUTO", sensor_height_mm=24)
+    assert read_camera(path) == lens(sensor_fit="auto", sensor_height_mm=24.0)
+
+
+def test_single_values_override_the_file_and_complete_it(tmp_path):
+    path = write_json(tmp_path / "camera.json")
+    assert read_camera(path, f_number=4.0, shutter="90deg") == lens(f_number=4.0, shutter=(-0.125, 0.125))
+    path = write_json(tmp_path / "part.json", f_number=..., shutter_open_close_frames=...)
+    assert read_camera(path, f_number=2.0, shutter="-0.25,0.25") == lens()
+    with pytest.raises(InvalidCameraError, match=r"part\.json: lacks f_number, shutter_open.*say f_number, shutter"):
+        read_camera(path)
+
+
+def test_single_values_make_a_camera():
+    values = {name: value for name, value in VALUES.items() if name != "sensor_width_mm"}
+    with pytest.warns(AmbiguousInputWarning, match="sensor's width is taken for 36 mm; say sensor_width_mm"):
+        assert read_camera(**values) == lens()
+    with pytest.raises(InvalidCameraError, match="the camera lacks f_number, focus_distance_m; say f_number, focus"):
+        read_camera(focal_length_mm=50.0, sensor_width_mm=36.0)
+
+
+@pytest.mark.parametrize("text", ["180", "deg", "1,2,3", "a,b", ""])
+def test_other_shutters_are_refused(text):
+    with pytest.raises(InvalidCameraError, match="shutter is .* an angle such as 180deg"):
+        parse_shutter(text)
+
+
+# --- OpenEXR -------------------------------------------------------------------------------------------------------
+
+HEADERS = {
+    "standard": {
+        "nominalFocalLength": 84.0,
+        "effectiveFocalLength": 85.0,
+        "aperture": 2.0,
+        "focus": 3.0,
+        "sensorOverallDimensions": (36.0, 24.0),
+        "shutterAngle": 180.0,
+    },
+    "unreal": {
+        "unreal/camera/FinalImage/focalLength": "85.0",
+        "unreal/camera/FinalImage/fstop": "2.0",
+        "unreal/camera/FinalImage/focalDistance": "300.0",
+        "unreal/camera/FinalImage/sensorWidth": "36.0",
+        "unreal/camera/shutterAngle": "180.0",
+    },
+    "vray": {"cameraFocalLength": 85.0, "cameraAperture": 36.0, "cameraFNumber": 2.0, "cameraFocusDistance": 3.0},
+    "arnold": {
+        "CameraFocalLength": 85.0,
+        "CameraFilmApertureHorizontal": 36 / 25.4,
+        "CameraFNumber": 2.0,
+        "CameraFocusDistance": 3.0,
+    },
+    "redshift": {
+        "rs/camera/focalLength": 85.0,
+        "rs/camera/aperture": (36.0, 24.0),
+        "rs/camera/FStop": 2.0,
+        "rs/camera/DOFFocusDistance": 3.0,
+    },
+    "note": {"Note": json.dumps(VALUES)},
+    "note in words": {"Note": "focal_length_mm=85 sensor_width_mm: 36; f_number=2.0, focus_distance_m=3"},
+    "field of view": {
+        "rs/camera/fov": math.degrees(2 * math.atan(18 / 85)),
+        "rs/camera/aperture": 36.0,
+        "rs/camera/FStop": 2.0,
+        "focus": 3.0,
+    },
+}
+
+
+@pytest.mark.parametrize("program", HEADERS)
+def test_attributes_of_programs_make_the_camera(program):
+    values = attribute_values(HEADERS[program])
+    camera = ThinLens(**({"shutter": (-0.25, 0.25)} | values))
+    for name, value in VALUES.items():
+        assert getattr(camera, name) == pytest.approx(value), name
+    assert camera.shutter == (-0.25, 0.25)
+
+
+def test_focus_in_the_scenes_unit_is_scaled_with_the_depth():
+    assert attribute_values({"cameraFocusDistance": 300.0}, 0.01)["focus_distance_m"] == 3
+
+
+def test_an_exr_is_a_camera_file_and_a_frame_may_carry_its_camera(tmp_path):
+    attributes = {name: value for name, value in HEADERS["vray"].items()}
+    path = write_exr(tmp_path / "f.exr", **attributes)
+    assert read_camera(path) == lens() and frame_camera(path) == VALUES
+    assert read_camera(path, focus_distance_m=7.0) == lens(focus_distance_m=7.0)
+    bare = write_exr(tmp_path / "bare.exr")
+    assert frame_camera(bare) == frame_camera(tmp_path / "absent.exr") == {}
+    with pytest.raises(InvalidCameraError, match=r"bare\.exr: holds no camera attributes"):
+        read_camera(bare)
+
+
+@pytest.mark.parametrize("value", ["", "x", 0.0, -1.0, math.nan])
+def test_attributes_that_are_no_positive_numbers_do_not_count(value):
+    assert attribute_values({"aperture": value}) == {}
+
+
+# --- USD -----------------------------------------------------------------------------------------------------------
+
+
+def test_usd_without_its_package_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pxr", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'spreadlets\[usd\]'"):
+        read_camera(tmp_path / "shot.usda")
+
+
+USD = """#usda 1.0
+( metersPerUnit = {unit} )
+def Xform "World"
+{{
+    def Camera "A"
+    {{
+        float focalLength = 85
+        float horizontalAperture = 36
+        float verticalAperture = 24
+        float fStop = 2
+        float focusDistance = {focus}
+        double shutter:open = -0.25
+        double shutter:close = 0.25
+    }}
+{more}
+}}
+"""
+
+
+def test_a_camera_of_a_usd_file(tmp_path):
+    pytest.importorskip("pxr")
+    path = tmp_path / "shot.usda"
+    path.write_text(USD.format(unit=0.01, focus=300, more=""))
+    assert read_camera(path) == lens(sensor_height_mm=24.0)
+    path.write_text(USD.format(unit=0.01, focus=300, more='def Camera "B" {}'))
+    assert read_camera(f"{path}:/World/A", f_number=4.0) == lens(sensor_height_mm=24.0, f_number=4.0)
+    with pytest.raises(InvalidCameraError, match=r"holds 2 cameras \(/World/A, /World/B\); say which"):
+        read_camera(path)
+    with pytest.raises(InvalidCameraError, match="has no camera at /World/C; its cameras: /World/A, /World/B"):
+        read_camera(f"{path}:/World/C")
+    path.write_text("no USD")
+    with pytest.raises(InvalidCameraError, match="is not a readable USD file"):
+        read_camera(path)
+    with pytest.raises(InvalidCameraError, match="there is no such file"):
+        read_camera(tmp_path / "absent.usd")
+
+
+def test_a_lens_that_is_written_in_millimetres_at_metres_is_taken_so(tmp_path):
+    pytest.importorskip("pxr")
+    path = tmp_path / "shot.usda"
+    path.write_text(USD.format(unit=1, focus=3, more=""))
+    with pytest.warns(AmbiguousInputWarning, match="lens and sensor are taken for millimetres"):
+        assert read_camera(path) == lens(sensor_height_mm=24.0)
+
+
+# --- Names of options ----------------------------------------------------------------------------------------------
+
+
+def test_messages_spell_options_as_they_are_typed():
+    assert option("f_number") == "f_number"
+    with options_spelled(lambda name: "--" + name.replace("_", "-")):
+        assert option("f_number") == "--f-number"
+    assert option("f_number") == "f_number"
