@@ -12,7 +12,7 @@ SHAPE = (24, 32)
 CAMERA = {
     "focal_length_mm": 50,
     "sensor_width_mm": 36,
-    "f_number": 8,
+    "f_number": 1,
     "focus_distance_m": 3,
     "shutter_open_close_frames": [-0.25, 0.25],
 }
