@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
 from spreadlets.psf.database_file import (
     MAX_CELLS,
@@ -210,10 +211,14 @@ class Database:
         """Return what ``spreadlets info`` prints: model, counts, size, quality figures and provenance.
 
         Means are over all spreadlets that are stored, direct ones included. What is drawn between the cells is under
-        ``between_cells``, see `precompute.build.between_cells`.
+        ``between_cells``, see `precompute.build.between_cells`. A database for frames that need no PSF has no figures.
         """
         present = np.diff(self.point_start) > 0
         statistics = {name: column[present] for name, column in self.statistics().items()}
+
+        def figure(name: str, of: Callable[[FloatArray], Any]) -> float | None:
+            return float(of(statistics[name])) if present.any() else None
+
         return {
             "model": self.grid.model.name,
             "n_cells": self.n_cells,
@@ -221,11 +226,11 @@ class Database:
             "n_spreadlets": int(present.sum()),
             "n_points": int(self.point_start[-1]),
             "size_bytes": self.path.stat().st_size,
-            "mean_sparsity": float(statistics["sparsity"].mean()),
-            "mean_ssim": float(statistics["ssim"].mean()),
-            "min_ssim": float(statistics["ssim"].min()),
-            "mean_l1": float(statistics["l1"].mean()),
-            "max_energy_error": float(statistics["energy_error"].max()),
+            "mean_sparsity": figure("sparsity", np.mean),
+            "mean_ssim": figure("ssim", np.mean),
+            "min_ssim": figure("ssim", np.min),
+            "mean_l1": figure("l1", np.mean),
+            "max_energy_error": figure("energy_error", np.max),
             "between_cells": self.provenance.get("between_cells"),
             "build_s": self.provenance.get("build_s"),
             "seed": self.provenance.get("seed"),
