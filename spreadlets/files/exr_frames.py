@@ -487,20 +487,32 @@ def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     try:
         stored = _label("depth", found.depth, radiance)[..., 0]
         alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
+        nothing = np.zeros(stored.shape, np.bool_)
+        if options.background_depth is not None:
+            nothing = background_places(options.background_depth, stored)
+        seen = ~nothing if alpha is None else ~nothing & (alpha > 0)
         planar_told = options.preset is not None and found.depth.convention == "planar"
         told = options.depth_convention is not None or planar_told
-        if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, alpha, told):
+        if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, seen, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
         planar = planar_depth(found.depth.convention, stored, options.scale)
-        if options.background_depth is not None:
-            planar = np.where(background_places(options.background_depth, stored), BACKGROUND_DEPTH, planar)
+        planar = np.where(nothing, BACKGROUND_DEPTH, planar)
         labels = {}
         if found.motion is not None:
             channels = _label("motion", found.motion, radiance)
             labels = motion_labels(found.motion.convention, channels, planar, options.scale)
         return Frame(radiance, planar, **labels, repair=options.repair)
-    except (InvalidFrameError, InvalidParameterError) as error:
-        raise type(error)(f"{image.path}: {error}") from None
+    except InvalidFrameError as error:
+        raise InvalidFrameError(f"{image.path}: {error}{_background_advice(error)}") from None
+    except InvalidParameterError as error:
+        raise InvalidParameterError(f"{image.path}: {error}") from None
+
+
+def _background_advice(error: InvalidFrameError) -> str:
+    """Return what to do besides about depth that is invalid; "" of other errors."""
+    if not str(error).startswith(("depth is NaN", "depth is zero or negative")):
+        return ""
+    return f"; if it stands for the background, say so with {option('background_depth')}: a number, nan, <X or >X"
 
 
 def _label(what: str, found: Found, radiance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from spreadlets.arrays import FloatArray, PathLike
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidParameterError, option
 from spreadlets.files.conventions import (
     ALPHA_LIKE,
@@ -38,6 +38,9 @@ COLOUR_SETS = (("R", "G", "B"), ("red", "green", "blue"))
 GREY = "Y"
 ALPHA_SETS = (("A",), ("alpha",), ("AR", "AG", "AB"))
 """Names of alpha; of three, one for each colour, the mean counts."""
+
+VIEW_LAYER = ".combined."
+"""How the prefix of a view layer's colour ends in Blender's files."""
 
 COMPOSITE = "composite."
 """Blender's result of the compositor, which stands beside the view layers that it is made of."""
@@ -350,6 +353,14 @@ def _chosen_colour(image: Image, groups: list[tuple[str, tuple[str, ...]]]) -> t
     composite = [found for found in groups if found[0] == COMPOSITE]
     if len(composite) == 1:
         return (*composite[0], "")
+    groups = sorted(groups, key=lambda found: list(image.planes).index(found[1][0]))
+    if all(_parent(image.place(group[0]).lower()).endswith(VIEW_LAYER) for _, group in groups):
+        names = [group[0].rpartition(".")[0] for _, group in groups]
+        doubt = (
+            f"the file holds the view layers {', '.join(names)}; the first is taken: say {option('colour_layer')} for "
+            "another, or for several as depth layers, nearest first"
+        )
+        return (*groups[0], doubt)
     first = [found for found in groups if image.planes[found[1][0]].part == 0]
     if image.n_parts > 1 and len(first) == 1 and "." not in image.planes[first[0][1][0]].bare:
         names = ", ".join(first[0][1])
@@ -504,7 +515,7 @@ def _all_equal(image: Image, names: Sequence[str]) -> bool:
     return first.size > 0 and all(np.array_equal(first, each, equal_nan=True) for each in others)
 
 
-def depth_warning(name: str, found: Found, stored: FloatArray, alpha: FloatArray | None, told: bool) -> str:
+def depth_warning(name: str, found: Found, stored: FloatArray, seen: BoolArray, told: bool) -> str:
     """Return a warning if a depth channel's values look like another convention than the one assumed, else "".
 
     Parameters
@@ -515,14 +526,14 @@ def depth_warning(name: str, found: Found, stored: FloatArray, alpha: FloatArray
         The depth channel.
     stored : ndarray of shape (H, W)
         Its values.
-    alpha : ndarray of shape (H, W) or None
-        Where it is 0 the values do not count.
+    seen : ndarray of shape (H, W), bool
+        Elsewhere the values do not count: nothing is there.
     told : bool
         Whether the caller named the convention, or a renderer that writes planar depth.
     """
     if told:
         return ""
-    values = stored[np.isfinite(stored) & (True if alpha is None else alpha > 0)]
+    values = stored[np.isfinite(stored) & seen]
     if values.size == 0 or values.min() < 0:
         return ""
     channel = found.channels[0]

@@ -12,6 +12,9 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
 from spreadlets.scene.samples import SampleBuffer
 
+FAR = 1e8
+"""Depth in metres from which on renderers mean the background: Cycles writes 1e10."""
+
 FOCUS_RATIO = 5.0
 """A focus nearer than the nearest depth, or farther than the farthest, by more than this ratio is doubted."""
 
@@ -86,8 +89,8 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
 
 
 def _finite_range(layer: Layer) -> tuple[float, float]:
-    """Return the nearest and farthest finite depth of what is visible."""
-    seen = np.isfinite(layer.depth) & (layer.radiance[..., 3] > 0)
+    """Return the nearest and farthest depth of what is visible, without the background."""
+    seen = (layer.depth < FAR) & (layer.radiance[..., 3] > 0)
     if not seen.any():
         return math.inf, 0.0
     return float(layer.depth.min(where=seen, initial=np.inf)), float(layer.depth.max(where=seen, initial=0))

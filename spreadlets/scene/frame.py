@@ -77,7 +77,7 @@ class Frame:
     Raises
     ------
     InvalidFrameError
-        If shapes are wrong or disagree, if the radiance is 8-bit or, unless `repair`, if a pixel has non-finite
+        If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has non-finite
         radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
         <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row, col), how
         many there are, and what is allowed.
@@ -302,10 +302,11 @@ def _converted_layer(
 ) -> Layer:
     """Return a layer of contiguous float32 arrays whose shapes agree; the values are not looked at."""
     colour = image_array("radiance", radiance)
-    if np.asarray(radiance).dtype.itemsize == 1:
+    codes = np.asarray(radiance).dtype
+    if codes.kind == "u" and codes.itemsize <= 2:
         raise InvalidFrameError(
-            "radiance holds 8-bit integers, as a picture for display does; a frame holds linear values: divide by 255 "
-            "and undo the display's encoding"
+            f"radiance holds {8 * codes.itemsize}-bit integers, as a picture for display does; a frame holds linear "
+            f"values: divide by {2 ** (8 * codes.itemsize) - 1} and undo the display's encoding"
         )
     height, width = colour.shape[:2]
     if colour.shape[2] == 3:

@@ -648,7 +648,7 @@ def test_commands_that_read_frames_take_the_options_that_their_errors_name(tmp_p
     camera.write_text(json.dumps(CAMERA))
     odd = write(tmp_path / "odd.exr", prefixed("a.", COLOUR) | prefixed("b.", COLOUR) | {"w": DEPTH})
     plain = write(tmp_path / "plain.exr", COLOUR | {"w": DEPTH})
-    status, out, error = run("compare", plain, odd, "--colour-layer", "b", "--json")
+    status, out, error = run("compare", odd, plain, "--colour-layer", "b", "--json")
     assert status == 0, error
     assert json.loads(out)["mae"] == 0
     reading = ["--depth-channel", "w", "--colour-layer", "b", "--motion-channels", "none"]
