@@ -31,7 +31,9 @@ from spreadlets.runtime.splat.passes import Canvas, Runs, canvas_of, find_runs
 from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian, sum_rows
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
+from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
+from spreadlets.scene.squares import squared, unsquared
 
 Solver = Callable[[Image], Image]
 
@@ -79,14 +81,17 @@ def synthesize(
     asked for: then the pixels of all its layers are distributed anew.
     """
     options, clock = options or Options(), clock or Clock()
-    _warn_about_view(database, camera, frame.shape[1])
+    raster, frame = frame.raster, squared(frame)
+    _warn_about_view(database, camera, frame.raster.display.width)
     effects = {"defocus": options.defocus, "motion": options.motion, "curved": database.grid.model.has_motion}
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
     if options.method == "gather":
         image = _filtered(shown, camera, database, options, clock, tally, dense_psf)
-        return _darkened(image, camera, database, options), Report.of(clock, plan_figures(tally, database))
+        return _finished(image, frame.raster, raster, camera, database, options), Report.of(
+            clock, plan_figures(tally, database)
+        )
     image = np.zeros((*frame.shape, 4), np.float32)
     with clock.step("plan"):
         given = [frame_pixels(layer, camera, **effects) for layer in shown]
@@ -101,7 +106,8 @@ def synthesize(
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
             view = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
         _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
-    return _darkened(image, camera, database, options), Report.of(clock, plan_figures(tally, database))
+    image = _finished(image, frame.raster, raster, camera, database, options)
+    return image, Report.of(clock, plan_figures(tally, database))
 
 
 def reconstruct(
@@ -165,13 +171,13 @@ def _solver(options: Options) -> Solver:
     return partial(integrate, method=options.integrator, cycles=options.cycles)
 
 
-def _darkened(image: Image, camera: ThinLens, database: Database, options: Options) -> Image:
-    """Return the image as dark towards its corners as the lens leaves it, if that is asked for."""
+def _finished(
+    image: Image, squares: Raster, raster: Raster, camera: ThinLens, database: Database, options: Options
+) -> Image:
+    """Return the image as dark towards its corners as the lens leaves it, if asked for, and in the frame's pixels."""
     if options.vignetting:
-        height, width = image.shape[:2]
-        shares = illumination(database.grid.model, (height, width), camera.sensor_width_mm / width)
-        image[..., :3] *= shares[..., None]
-    return image
+        image[..., :3] *= illumination(database.grid.model, squares, camera.sensor_width_mm)[..., None]
+    return unsquared(image, raster)
 
 
 def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, options: Options) -> bool:

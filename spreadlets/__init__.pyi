@@ -10,10 +10,10 @@ from .files.deep import write_deep as write_deep
 from .files.exr_frames import read_frame as read_frame
 from .files.exr_frames import read_image as read_image
 from .files.exr_frames import write_frame as write_frame
-from .files.exr_frames import write_image as write_image
-from .files.exr_frames import write_png as write_png
 from .files.exr_samples import read_samples as read_samples
 from .files.exr_samples import write_samples as write_samples
+from .files.images import write_image as write_image
+from .files.images import write_png as write_png
 from .files.recognise import ReadOptions as ReadOptions
 from .files.tlfr import write_tlfr as write_tlfr
 from .psf.database import Database as Database

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spreadlets.arrays import FloatArray
+from spreadlets.arrays import DoubleArray, FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.model import Angle, PsfModel
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.raster import Raster
 
 BLOCKS = (1, 2, 4)
 """Sides, px, of blocks of pixels for which a lens may be the same: those that the level of detail can draw as one."""
@@ -33,17 +34,20 @@ class View(NamedTuple):
         Focal length in pixels: a pixel at this distance from the image's centre is seen at 45 degrees.
     sensor_mm_per_px : float
         Size of a pixel on the sensor.
+    centre : tuple of float
+        From the array's middle to the picture's centre, (x, y), px: the array may reach beyond what is displayed.
     """
 
     depth: FloatArray
     focal_length_px: float
     sensor_mm_per_px: float
+    centre: tuple[float, float] = (0.0, 0.0)
 
     def position(self) -> FloatArray:
         """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""
         height, width = self.depth.shape
         x, y = np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1)
-        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+        return self._from_centre(x, y)
 
     def block_position(self) -> FloatArray:
         """Return the place (x, y), from the image's centre, of the middle of the block that each pixel is in, px.
@@ -53,13 +57,15 @@ class View(NamedTuple):
         height, width = self.depth.shape
         block = max(size for size in BLOCKS if size * LEAST_BLOCKS <= max(height, width) or size == 1)
         middle = [np.arange(size) // block * block + 0.5 * (block - 1) for size in (width, height)]
-        x, y = middle[0] - 0.5 * (width - 1), middle[1] - 0.5 * (height - 1)
-        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+        return self._from_centre(middle[0] - 0.5 * (width - 1), middle[1] - 0.5 * (height - 1))
 
     def image_height(self) -> FloatArray:
         """Return the distance of each pixel from the image's centre, px, shape (H, W)."""
         place = self.position()
         return np.hypot(place[..., 0], place[..., 1])
+
+    def _from_centre(self, x: DoubleArray, y: DoubleArray) -> FloatArray:
+        return np.stack(np.meshgrid(x - self.centre[0], y - self.centre[1]), axis=-1).astype(np.float32)
 
 
 class Labels(NamedTuple):
@@ -136,16 +142,16 @@ def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:
     return tuple(COORDINATES[axis.name](labels) for axis in model.axes)
 
 
-def illumination(model: PsfModel, shape: tuple[int, int], mm_per_px: float) -> FloatArray:
+def illumination(model: PsfModel, raster: Raster, sensor_width_mm: float) -> FloatArray:
     """Return how bright a lens leaves each pixel, relative to the image's middle.
 
     Parameters
     ----------
     model : PsfModel
-    shape : tuple of int
-        Of the image (H, W).
-    mm_per_px : float
-        Size of a pixel on the sensor.
+    raster : Raster
+        Where the image's pixels lie.
+    sensor_width_mm : float
+        Width of the sensor, which is that of the display window.
 
     Returns
     -------
@@ -161,7 +167,8 @@ def illumination(model: PsfModel, shape: tuple[int, int], mm_per_px: float) -> F
         raise InvalidParameterError(
             f"the database of the model {model.name!r} knows no vignetting; build one of 'physicallens'"
         )
-    view = View(np.zeros(shape, np.float32), 1.0, mm_per_px)
+    mm_per_px = sensor_width_mm / raster.display.width
+    view = View(np.zeros(raster.data.shape, np.float32), 1.0, mm_per_px, raster.off_middle)
     known = np.linspace(0.0, model.settings["max_eccentricity_mm"], len(shares))
     return np.asarray(np.interp(view.image_height() * mm_per_px, known, shares), np.float32)
 

@@ -82,9 +82,13 @@ def _along_paths(
 def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
     height, width = layer.shape
     coc, length = np.zeros((2, height, width), np.float32)
-    view = View(layer.depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    shown = layer.raster.display.width
+    mm_per_px = camera.sensor_width_mm / shown
+    view = View(
+        layer.depth, camera.focal_length_mm / camera.sensor_width_mm * shown, mm_per_px, layer.raster.off_middle
+    )
     if defocus:
-        optics = camera.coc_scale(width), 1.0 / camera.focus_distance_m
+        optics = camera.coc_scale(shown), 1.0 / camera.focus_distance_m
         for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, coc)
     if not motion or not layer.has_motion:
         return Labels(coc, np.zeros((height, width, 2), np.float32), length, None, view)

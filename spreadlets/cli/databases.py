@@ -73,10 +73,14 @@ def build(
     """
     from spreadlets.api import build_database
     from spreadlets.files.exr_frames import read_frame
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.psf.database import open_database
 
     reading, lens = take_reading(options), take_camera(options)
+    log = [options["log"]] if options["log"] else []
+    passes = [value for name, value in reading.items() if name.endswith("_file")]
+    check_outputs([output, *log], [*frame_paths, *passes, *filter(None, (camera, options["lens"], options["image"]))])
     if frame_paths or camera or lens:
         options["camera"] = camera_of(camera, lens, frame_paths[0] if frame_paths else None)
     if frame_paths:
@@ -169,12 +173,14 @@ def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[
 def _database_info(database: str, plot: str | None, as_json: bool, verification: tuple[bool, int | None]) -> None:
     """Print the summary of a database, verified if that is asked for: then a bad one is an error."""
     from spreadlets.api import DensePsfs, verify_database
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.psf.database import open_database
     from spreadlets.reports.database_plot import plot_database
 
     verify, jobs = verification
     with open_database(database) as opened:
         if plot:
+            check_outputs([plot], [opened.path])
             plot_database(opened, plot, DensePsfs(opened))
         figures = opened.summary()
         if verify:

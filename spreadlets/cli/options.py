@@ -217,10 +217,11 @@ def effect_options(verb: str) -> Callable[[Command], Command]:
     return cloup.option_group("Effects", off("defocus", "depth of field"), off("motion", "motion blur"))
 
 
-def output_options(what: str) -> Callable[[Command], Command]:
+def output_options(what: str, *further: Any) -> Callable[[Command], Command]:
     """Return the options of where the image goes, and what it is compared with."""
     return cloup.option_group(
         "Output",
         cloup.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help=what),
         cloup.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image."),
+        *further,
     )

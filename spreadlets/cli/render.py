@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -40,11 +40,29 @@ class _Job(NamedTuple):
     reference: str | None
     reading: dict[str, Any]
     rendering: dict[str, Any]
+    also: Sequence[str] = ()
+    pass_through: bool = False
+
+    def check(self) -> None:
+        """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
+        from spreadlets.files.images import OPENEXR, image_extension
+        from spreadlets.files.outputs import check_outputs
+
+        database = self.rendering["database"]
+        passes = [value for name, value in self.reading.items() if name.endswith("_file")]
+        others = (self.camera, self.reference, database if isinstance(database, str) else None, *passes)
+        if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
+            raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
+        check_outputs([self.output], [*self.frames, *filter(None, others)])
 
 
 @cloup.command()
 @cloup.argument("frames", nargs=-1, required=True, type=click.Path(dir_okay=False), metavar="FRAME.exr...")
-@output_options("The image to write.")
+@output_options(
+    "The image to write: .exr, or for viewing .png, .jpg or .tif.",
+    cloup.option("--also", metavar="NAME,...", help="Blur these further colour layers of the file, too."),
+    cloup.option("--pass-through", is_flag=True, help="Copy all other channels of the file unchanged."),
+)
 @camera_options
 @cloup.option_group(
     "Method",
@@ -76,26 +94,31 @@ def synth(
     reference: str | None,
     numbers: str | None,
     overwrite: bool,
+    also: str | None,
+    pass_through: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Synthesise depth of field and motion blur on a frame: colour, depth and motion vectors as OpenEXR.
 
     Several frames are depth layers of one view, nearest first. A path with a counter, such as frame.####.exr or
-    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept, and a frame that
-    cannot be made does not stop the others.
+    frame.%04d.exr, is a sequence; camera and reference may have one, too. Results that exist are kept. A frame that
+    cannot be read does not stop a sequence: the exit status is then 1, and the frames are named at the end.
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
-    from spreadlets.files.sequence import is_pattern, listed, numbered
+    from spreadlets.files.sequence import is_pattern, numbered
     from spreadlets.runtime.options import RENDER_OPTIONS
 
     reading, lens = take_reading(options), take_camera(options)
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
+    layers = tuple(name.strip() for name in also.split(",")) if also else ()
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        print_figures(_synthesise(_Job(frames, output, camera, lens, reference, reading, rendering)), as_json)
+        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through)
+        job.check()
+        print_figures(_synthesise(job), as_json)
         return
     with _databases() as choose:
 
@@ -106,18 +129,19 @@ def synth(
             chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file")}
             shot = numbered(camera, number) if camera else None
-            report = _synthesise(_Job(inputs, path, shot, lens, truth, reading | apart, chosen))
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through)
+            report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
-        others = [path for path in (camera, reference) if path]
+        passes = [value for key, value in reading.items() if key.endswith("_file")]
+        others = [each for each in (camera, reference, *passes) if each]
+        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
         with warnings.catch_warnings():
-            report = _sequence(frames, others, output, numbers, overwrite, make, as_json)
-    print_figures(report, as_json)
-    if report["failed"]:
-        count = f"{len(report['failed'])} of {len(report['frames'])} frames could not be made"
-        click.echo(f"failed: {count}: {listed(report['failed'])}", err=True)
-        sys.exit(EXIT_FAILURE)
+            report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
+            print_figures(report, as_json)
+        if report["failed"]:
+            sys.exit(EXIT_FAILURE)
 
 
 def _synthesise(job: _Job) -> dict[str, Any]:
@@ -125,8 +149,11 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     from spreadlets import metrics
     from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
+    from spreadlets.files import images
+    from spreadlets.files.further_channels import named_channels, other_channels, with_colours
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.runtime.clock import Clock
+    from spreadlets.scene.raster import placed
 
     clock = Clock()
     with clock.step("read"):
@@ -140,27 +167,47 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
-    figures = metrics.compare(image, truth) if truth is not None else {}
+    shown = placed(image, frame.raster.data, frame.raster.display)
+    figures = metrics.compare(shown, truth) if truth is not None else {}
+    further = {}
+    if job.pass_through:
+        further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
+    for name, element in with_colours(job.frames, frame, job.also, options.view):
+        further |= named_channels(name, synthesize(element, camera, **rendering, clock=clock))
     with clock.step("write"):
-        exr.write_image(job.output, image)
+        images.write_image(job.output, image, raster=frame.raster, channels=further)
     return report.to_dict() | {"time_s": clock.times()} | figures
 
 
+def _chosen(
+    frames: Sequence[str], others: Sequence[str], reads: Sequence[str], output: str, numbers: str | None
+) -> list[int]:
+    """Return which frames of a sequence to make, after checking that no result replaces a file that is read."""
+    from spreadlets.files.images import image_extension
+    from spreadlets.files.outputs import check_outputs
+    from spreadlets.files.sequence import listed, numbered, sequence_frames
+
+    chosen, gaps = sequence_frames(frames, others, output, numbers)
+    if gaps:
+        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
+    image_extension(output)
+    check_outputs(
+        [numbered(output, number) for number in chosen],
+        {numbered(path, number) for path in reads for number in chosen},
+    )
+    return chosen
+
+
 def _sequence(
-    frames: Sequence[str],
-    others: Sequence[str],
+    chosen: Sequence[int],
     output: str,
-    numbers: str | None,
     overwrite: bool,
     make: Callable[[int, str], dict[str, Any]],
     as_json: bool,
 ) -> dict[str, Any]:
     """Make the frames of a sequence, with a bar; for people each frame's report is cut to its time."""
-    from spreadlets.files.sequence import listed, run_sequence, sequence_frames
+    from spreadlets.files.sequence import listed, run_sequence
 
-    chosen, gaps = sequence_frames(frames, others, output, numbers)
-    if gaps:
-        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
     with progress_bar(os.path.basename(output), quiet=as_json) as progress:
         report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
     for entry in report["frames"]:
@@ -168,13 +215,15 @@ def _sequence(
             click.echo(f"error: frame {entry['frame']}: {' '.join(entry['error'].split())}", err=True)
     if not as_json:
         report["frames"] = {entry["output"]: _outcome(entry) for entry in report["frames"]}
+    if report["failed"]:
+        click.echo(f"failed: {len(report['failed'])} frames: {listed(report['failed'])}", err=True)
     return report
 
 
-def _outcome(entry: Mapping[str, Any]) -> str:
-    """Return what people are told of a frame of a sequence."""
+def _outcome(entry: dict[str, Any]) -> str:
+    """Return what became of a frame, in a word."""
     if "error" in entry:
-        return "failed"
+        return f"failed: {entry['error']}"
     return "kept" if entry["skipped"] else f"{entry['time_s']['total']:.2f} s"
 
 
@@ -201,7 +250,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
 
 @cloup.command()
 @cloup.argument("samples", type=click.Path(dir_okay=False), metavar="SAMPLES.exr")
-@output_options("The image to write.")
+@output_options("The image to write: .exr, or for viewing .png, .jpg or .tif.")
 @camera_options
 @cloup.option_group(
     "Method",
@@ -263,9 +312,15 @@ def reconstruct(
     from spreadlets import metrics
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_samples import read_samples
+    from spreadlets.files import images
+    from spreadlets.files.exr_samples import read_samples, samples_files, samples_raster
+    from spreadlets.files.outputs import check_outputs
     from spreadlets.runtime.clock import Clock
 
+    images.image_extension(output)
+    check_outputs(
+        [output], [each for each in (*samples_files(samples), camera, reference, options["database"]) if each]
+    )
     clock = Clock()
     with clock.step("read"):
         lens = camera_of(camera, take_camera(options), samples)
@@ -277,7 +332,7 @@ def reconstruct(
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
     figures = metrics.compare(image, truth) if truth is not None else {}
     with clock.step("write"):
-        exr.write_image(output, image)
+        images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
 
 

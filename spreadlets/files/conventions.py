@@ -16,6 +16,7 @@ import numpy.typing as npt
 from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.raster import Raster
 
 Matrix = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -37,12 +38,15 @@ class Scale:
         Distance of the two cameras of a stereo pair, metres, for disparity.
     max_displacement : float or None
         Motion in px that a normalised channel's end of range stands for.
+    raster : Raster or None
+        Where the pixels of the arrays lie; by default the arrays are the whole picture.
     """
 
     camera: ThinLens | None = None
     depth_scale: float = 1.0
     baseline_m: float | None = None
     max_displacement: float | None = None
+    raster: Raster | None = None
 
     def __post_init__(self) -> None:
         for name in ("baseline_m", "max_displacement"):
@@ -54,12 +58,17 @@ class Scale:
                 f"{option('depth_scale')} is {self.depth_scale:g}; it must be finite and not 0 (below 0 turns the sign)"
             )
 
+    def raster_of(self, shape: tuple[int, ...]) -> Raster:
+        """Return where the pixels of an array (H, W) lie."""
+        return self.raster or Raster.of_shape((shape[0], shape[1]))
+
     def focal_length_px(self, shape: tuple[int, ...], reason: str) -> float:
         """Return the focal length in px of an image of (height, width); without a camera raise why one is needed."""
         if self.camera is None:
             raise InvalidParameterError(f"{reason} needs the camera ({option('camera')})")
-        camera = self.camera.fitted((shape[0], shape[1]))
-        return camera.focal_length_mm / camera.sensor_width_mm * shape[1]
+        raster = self.raster_of(shape)
+        camera = self.camera.fitted(raster.display.shape, raster.pixel_aspect)
+        return camera.focal_length_mm / camera.sensor_width_mm * raster.display.width
 
     def baseline(self) -> float:
         """Return the baseline in metres, or raise InvalidParameterError."""
@@ -107,15 +116,17 @@ def _disparity(values: FloatArray, scale: Scale) -> FloatArray:
 def _ray_length(shape: tuple[int, ...], scale: Scale) -> FloatArray:
     """Return how far along its ray each pixel's centre is at a planar depth of 1, (H, W)."""
     focal_px = scale.focal_length_px(shape, f"{option('depth_convention')} ray")
-    x, y = _offsets_from_centre(shape)
+    x, y = _offsets_from_centre(shape, scale)
     return np.asarray(np.sqrt(1 + (x**2 + y**2) / focal_px**2), np.float32)
 
 
-def _offsets_from_centre(shape: tuple[int, ...]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return how far right of (1, W) and below (H, 1) the image's centre each pixel's centre lies, px."""
-    height, width = shape
-    x = np.arange(width, dtype=np.float64)[None, :] + 0.5 * (1 - width)
-    y = np.arange(height, dtype=np.float64)[:, None] + 0.5 * (1 - height)
+def _offsets_from_centre(
+    shape: tuple[int, ...], scale: Scale
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return how far right of (1, W) and below (H, 1) the picture's centre each pixel lies, in widths of a pixel."""
+    raster = scale.raster_of(shape)
+    x = np.arange(shape[1], dtype=np.float64)[None, :] - raster.centre[0]
+    y = (np.arange(shape[0], dtype=np.float64)[:, None] - raster.centre[1]) / raster.pixel_aspect
     return x, y
 
 
@@ -434,7 +445,8 @@ def _px_per_unit(name: str, shape: tuple[int, ...], scale: Scale) -> FloatArray:
     if unit.limited:
         return np.full(2, scale.displacement(name), np.float32)
     if unit.per_image:
-        return np.array([shape[1], shape[0]], np.float32) * np.float32(unit.per_image)
+        height, width = scale.raster_of(shape).display.shape
+        return np.array([width, height], np.float32) * np.float32(unit.per_image)
     return np.ones(2, np.float32)
 
 
@@ -453,13 +465,14 @@ def _projected(velocity: FloatArray, depth: FloatArray, scale: Scale) -> FloatAr
     focal_px, x, y, z = _perspective(depth, scale)
     vx, vy, vz = (velocity[..., axis::3].sum(axis=2, dtype=np.float64) for axis in range(3))
     with np.errstate(invalid="ignore"):  # empty pixels may hold anything; visible ones are checked by `Frame`
-        return np.stack([(focal_px * vx - x * vz) / z, (-focal_px * vy - y * vz) / z], axis=2).astype(np.float32)
+        dx, dy = (focal_px * vx - x * vz) / z, (-focal_px * vy - y * vz) / z
+        return np.stack([dx, dy * scale.raster_of(depth.shape).pixel_aspect], axis=2).astype(np.float32)
 
 
 def _unprojected(motion: FloatArray, depth: FloatArray, scale: Scale) -> FloatArray:
     """Return a velocity parallel to the image that projects to a motion, (H, W, 3)."""
     focal_px, _, _, z = _perspective(depth, scale)
-    vx, vy = motion[..., 0] * z / focal_px, -motion[..., 1] * z / focal_px
+    vx, vy = motion[..., 0] * z / focal_px, -motion[..., 1] / scale.raster_of(depth.shape).pixel_aspect * z / focal_px
     return np.stack([vx, vy, np.zeros_like(vx)], axis=2).astype(np.float32)
 
 
@@ -468,7 +481,7 @@ def _perspective(
 ) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the focal length in px, the pixels' places from the centre, px, and depth in the file's units."""
     focal_px = scale.focal_length_px(depth.shape, f"{option('motion_convention')} camera-velocity")
-    x, y = _offsets_from_centre(depth.shape)
+    x, y = _offsets_from_centre(depth.shape, scale)
     return focal_px, x, y, np.minimum(depth, FAR).astype(np.float64) / abs(scale.depth_scale)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO
@@ -18,11 +18,16 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import PathLike
 from spreadlets.errors import InvalidFileError
+from spreadlets.scene.raster import Attribute
 
 MAGIC = 20000630
 MULTI_PART = 0x1000
-"""Bit of the version field."""
+LONG_NAMES = 0x400
+"""Bits of the version field."""
+SHORT_NAME = 31
+"""Characters of a name that needs no bit."""
 
 MAX_HEADER_BYTES = 1 << 24
 """Previews are the largest attributes of real headers; 16 MiB is far above any."""
@@ -69,7 +74,7 @@ class _PartHeader:
     types: Mapping[str, np.dtype[Any]]
 
 
-def check_structure(path: str | os.PathLike[str]) -> None:
+def check_structure(path: PathLike) -> None:
     """Check that the headers of a file are well-formed: the library passes over much that is not, and guesses.
 
     Parameters
@@ -87,7 +92,7 @@ def check_structure(path: str | os.PathLike[str]) -> None:
             raise ValueError("it has no parts")
 
 
-def check_chunks(path: str | os.PathLike[str]) -> None:
+def check_chunks(path: PathLike) -> None:
     """Check that the chunks of all flat scanlines lie where the file's tables say; tiles are left to the library.
 
     Parameters
@@ -115,7 +120,7 @@ def check_chunks(path: str | os.PathLike[str]) -> None:
                     raise ValueError(f"the lines from {y} on are not where the table says")
 
 
-def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
+def deep_sample_bytes(path: PathLike) -> int:
     """Return how many bytes the unpacked samples of all deep scanlines take.
 
     Parameters
@@ -138,7 +143,7 @@ def deep_sample_bytes(path: str | os.PathLike[str]) -> int:
         return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
 
 
-def read_deep_part(path: str | os.PathLike[str], part: int) -> DeepPart:
+def read_deep_part(path: PathLike, part: int) -> DeepPart:
     """Return the samples of a deep part.
 
     Parameters
@@ -163,8 +168,60 @@ def read_deep_part(path: str | os.PathLike[str], part: int) -> DeepPart:
         return _deep_part(file, headers[part], offsets[part], multi_part)
 
 
+def read_attributes(path: PathLike) -> list[dict[str, Attribute]]:
+    """Return all attributes of each part's header as they are stored.
+
+    Raises
+    ------
+    InvalidFileError
+        If a header is malformed.
+    """
+    with _opened(path, "its header is malformed") as file:
+        _, version = struct.unpack("<iI", _exactly(file, 8))
+        parts = [_attributes(file)]
+        while version & MULTI_PART and (attributes := _attributes(file)):
+            parts.append(attributes)
+        return parts
+
+
+def add_attributes(
+    path: PathLike, parts: Sequence[Mapping[str, Attribute]], *, replacing: Collection[str] = ()
+) -> None:
+    """Put attributes into the headers of a file of scanlines, in place.
+
+    Parameters
+    ----------
+    path : path
+        A file as the library has written it.
+    parts : sequence of mapping
+        Attributes to add to the header of each part. One that is there already stays.
+    replacing : collection of str
+        Names of attributes that give way.
+    """
+    found = read_attributes(path)
+    with open(path, "rb") as file:
+        multi_part, _, tables = _tables(file)
+        chunks = file.read()
+        begin = file.tell() - len(chunks)
+        file.seek(0)
+        magic, version = struct.unpack("<iI", _exactly(file, 8))
+    headers = []
+    for own, added in zip(found, parts, strict=True):
+        kept = {name: each for name, each in own.items() if name not in replacing or name not in added}
+        headers.append(dict(sorted({**added, **kept}.items())))
+    if any(len(name) > SHORT_NAME for header in headers for name in header):
+        version |= LONG_NAMES
+    stored = [b"".join(_stored_attribute(*item) for item in header.items()) + b"\0" for header in headers]
+    head = struct.pack("<iI", magic, version) + b"".join(stored) + (b"\0" if multi_part else b"")
+    offsets = [offset for table in tables for offset in table]
+    shift = len(head) + 8 * len(offsets) - begin
+    with open(path, "wb") as file:
+        file.write(head + struct.pack(f"<{len(offsets)}Q", *(offset + shift for offset in offsets)))
+        file.write(chunks)
+
+
 @contextmanager
-def _opened(path: str | os.PathLike[str], problem: str) -> Iterator[BinaryIO]:
+def _opened(path: PathLike, problem: str) -> Iterator[BinaryIO]:
     """Open a file, and say what is wrong with it where it cannot be read as it should."""
     try:
         with open(path, "rb") as file:
@@ -279,7 +336,7 @@ def _file_headers(file: BinaryIO) -> tuple[bool, list[_PartHeader]]:
 def _headers(file: BinaryIO, multi_part: bool) -> list[_PartHeader]:
     headers: list[_PartHeader] = []
     while attributes := _attributes(file):  # an empty header ends those of several parts
-        headers.append(_part_header(attributes))
+        headers.append(_part_header({name: attribute.value for name, attribute in attributes.items()}))
         if not multi_part:
             break
     return headers
@@ -308,16 +365,22 @@ def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
     return _PartHeader(deep, tiled, n_chunks, window, compression, types)
 
 
-def _attributes(file: BinaryIO) -> dict[str, bytes]:
-    """Read one header: names and values up to an empty name."""
-    attributes: dict[str, bytes] = {}
+def _attributes(file: BinaryIO) -> dict[str, Attribute]:
+    """Read one header: names, types and values up to an empty name."""
+    attributes: dict[str, Attribute] = {}
     while name := _text(file):
-        _text(file)  # the type
+        kind = _text(file)
         (size,) = struct.unpack("<i", _exactly(file, 4))
         if not 0 <= size <= MAX_HEADER_BYTES:
             raise EOFError(f"the attribute {name!r} has {size} bytes")
-        attributes[name] = _exactly(file, size)
+        attributes[name] = Attribute(kind, _exactly(file, size))
     return attributes
+
+
+def _stored_attribute(name: str, attribute: Attribute) -> bytes:
+    """Return an attribute as a header holds it: undoes `_attributes`."""
+    size = struct.pack("<i", len(attribute.value))
+    return name.encode("latin-1") + b"\0" + attribute.kind.encode("latin-1") + b"\0" + size + attribute.value
 
 
 def _text(file: BinaryIO) -> str:

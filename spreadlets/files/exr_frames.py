@@ -1,10 +1,11 @@
-"""Frames and images as OpenEXR, previews as PNG.
+"""Frames as OpenEXR, and the colours of an image.
 
 What the channels mean is told by the tables of `spreadlets.files.conventions`.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import warnings
@@ -20,6 +21,7 @@ import OpenEXR
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError, option
 from spreadlets.files.atomic import atomic_path
+from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
@@ -38,16 +40,16 @@ from spreadlets.files.deep import DeepImage, deep_image
 from spreadlets.files.exr_chunks import read_deep_part
 from spreadlets.files.exr_parts import (
     Image,
-    Part,
     Plane,
     check_headers,
     check_same_window,
+    covered,
     gather,
     is_deep,
     library_messages,
     merged,
-    overlap,
     part_header,
+    part_of,
     read_headers,
     read_parts,
     window,
@@ -65,33 +67,12 @@ from spreadlets.files.recognise import (
     recognise,
 )
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.display import display_encode
 from spreadlets.scene.doubts import layer_doubts
-from spreadlets.scene.frame import BACKGROUND_DEPTH, Frame, Layer, image_array
+from spreadlets.scene.frame import BACKGROUND_DEPTH, Frame, Layer
+from spreadlets.scene.raster import Raster, Window
 
 COUNTER = re.compile(r"\d+")
 """A number in a file's name."""
-
-HALF_MAX = float(np.finfo(np.float16).max)
-
-RESERVED_METADATA = frozenset(
-    {
-        "channels",
-        "chunkCount",
-        "compression",
-        "dataWindow",
-        "displayWindow",
-        "lineOrder",
-        "name",
-        "pixelAspectRatio",
-        "screenWindowCenter",
-        "screenWindowWidth",
-        "tiles",
-        "type",
-        "version",
-    }
-)
-"""Header attributes that describe the file itself; other values there would break it."""
 
 
 def read_frame(
@@ -113,8 +94,8 @@ def read_frame(
     Returns
     -------
     Frame
-        In the file's display window; where the data window does not reach, pixels are empty. Without motion channels
-        the frame is still.
+        In the file's data window. A frame that is not opaque reaches as far as the display window, too: its blur goes
+        on where it has no pixels. Without motion channels the frame is still.
 
     Raises
     ------
@@ -149,7 +130,7 @@ def read_frame(
     headers = [read_headers(path) for path in files]
     passes = read_passes(chosen)
     if files and all(any(map(is_deep, each)) for each in headers):
-        return _merged_deep(files, headers, chosen)
+        return _with_room(_merged_deep(files, headers, chosen))
     layers: list[Frame] = []
     for path, each in zip(files, headers, strict=True):
         if any(map(is_deep, each)):
@@ -163,7 +144,7 @@ def read_frame(
     frame = layers[0] if len(layers) == 1 else Frame.from_layers(layers)
     for doubt in (*_sequence_doubts(files), *layer_doubts(frame)):
         warnings.warn(doubt, AmbiguousInputWarning, stacklevel=2)
-    return frame
+    return _with_room(frame)
 
 
 def read_image(path: PathLike, *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]) -> FloatArray:
@@ -229,52 +210,6 @@ def read_reference(path: PathLike, options: ReadOptions) -> FloatArray:
     return read_image(path, options=plain)
 
 
-def write_image(
-    path: PathLike,
-    radiance: npt.ArrayLike,
-    *,
-    half: bool = False,
-    metadata: Mapping[str, str | int | float] | None = None,
-) -> None:
-    """Write an image as OpenEXR; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced.
-    radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values, stored as R, G, B and A.
-    half : bool
-        Store 16-bit floats (values beyond 65504 are clipped) instead of 32-bit ones.
-    metadata : mapping, optional
-        Header attributes: names to strings, integers or floats.
-
-    Raises
-    ------
-    InvalidFrameError
-        If `radiance` is no such array.
-    InvalidParameterError
-        If the metadata has a reserved name or a value of another type.
-    InvalidFileError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> sp.write_image("image.exr", np.ones((4, 6, 4)), half=True, metadata={"artist": "me"})
-    >>> sp.read_image("image.exr").shape
-    (4, 6, 4)
-    """
-    image = image_array("radiance", radiance)
-    channels = {name: image[..., index] for index, name in enumerate("RGBA"[: image.shape[2]])}
-    if half:
-        channels = {name: np.clip(plane, -HALF_MAX, HALF_MAX) for name, plane in channels.items()}
-    stored = {name: np.ascontiguousarray(plane, np.float16 if half else np.float32) for name, plane in channels.items()}
-    header = {**_checked_metadata(metadata or {}), **part_header()}
-    with atomic_path(path, ".exr") as temporary, library_messages():
-        OpenEXR.File(header, stored).write(str(temporary))
-
-
 def write_frame(
     path: PathLike,
     frame: Frame,
@@ -333,37 +268,15 @@ def write_frame(
         OpenEXR.File(parts).write(str(temporary))
 
 
-def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
-    """Write an image as an 8-bit sRGB PNG for viewing; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced.
-    radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values; premultiplied colours are shown over black, NaN as black.
-
-    Raises
-    ------
-    InvalidFrameError
-        If `radiance` is no such array.
-    InvalidFileError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> sp.write_png("image.png", np.full((4, 6, 3), 0.18))
-    """
-    from PIL import Image as Picture
-
-    encoded = display_encode(image_array("radiance", radiance)[..., :3])
-    pixels = np.rint(255 * np.nan_to_num(encoded)).astype(np.uint8)
-    with atomic_path(path, ".png") as temporary:
-        Picture.fromarray(pixels).save(temporary)
-
-
 # --- Reading -------------------------------------------------------------------------------------------------------
+
+
+def _with_room(frame: Frame) -> Frame:
+    """Return a frame with empty pixels up to the display window, if it is an element whose blur may reach there."""
+    whole = frame.raster.data.union(frame.raster.display)
+    if whole == frame.raster.data or frame.layers[-1].radiance[..., 3].min() == 1:
+        return frame
+    return frame.reaching(whole)
 
 
 def flat_layers(path: PathLike, options: ReadOptions) -> list[tuple[Image, ReadOptions]]:
@@ -408,39 +321,48 @@ def deep_header(
     header = headers[index]
     data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
     planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
-    return index, merged(path, [Part("", {**header, "multiView": ()}, planes)])
+    part = replace(part_of({**header, "multiView": ()}, planes, carried_attributes(path)[index]), name="")
+    return index, merged(path, [part])
 
 
 def _merged_deep(
     files: Sequence[PathLike], headers: Sequence[Sequence[Mapping[str, Any]]], options: ReadOptions
 ) -> Frame:
-    """Return the depth layers of deep files, which show one scene."""
-    images = [_read_deep(path, each, options) for path, each in zip(files, headers, strict=True)]
+    """Return the depth layers of deep files, which show one scene, in a window that holds all of theirs."""
+    parts = [deep_header(path, each, options) for path, each in zip(files, headers, strict=True)]
+    found = [recognise_deep(image, options) for _, image in parts]
+    rasters = [each.colour.image.raster(each.colour.channels[0]) for each in found]
+    for path, raster in zip(files, rasters, strict=True):
+        if (raster.display, raster.pixel_aspect) != (rasters[0].display, rasters[0].pixel_aspect):
+            raise InvalidFileError(f"{path}: is displayed otherwise than {files[0]}; deep files of one scene agree")
+    stored = functools.reduce(Window.union, (raster.data for raster in rasters))
+    shared = replace(rasters[0], data=stored).reaching(stored.union(rasters[0].display))
+    images = [_read_deep(index, each, shared, options) for (index, _), each in zip(parts, found, strict=True)]
     try:
-        return DeepImage.merged(images).layers(options.max_layers)
+        return DeepImage.merged(images).layers(options.max_layers).lying_at(shared)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{', '.join(str(path) for path in files)}: {error}") from None
 
 
-def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions) -> DeepImage:
-    """Return the samples of a deep file."""
-    index, image = deep_header(path, headers, options)
-    found = recognise_deep(image, options)
+def _read_deep(index: int, found: Recognised, raster: Raster, options: ReadOptions) -> DeepImage:
+    """Return the samples of a deep part of a file, in the data window of a raster."""
+    image = found.colour.image
+    path = image.path
     names = {"colour": found.colour.channels, "alpha": found.colour.alpha, "depth": found.depth.channels}
     names |= {"motion": found.motion.channels} if found.motion else {}
     _warn(image, found)
-    shape = image.shape
     part, data = read_deep_part(path, index), image.planes[found.colour.channels[0]].window
-    if part.counts.shape != (data.height, data.width):
+    if part.counts.shape != data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
+    scale, shape = replace(options.scale, raster=raster), raster.data.shape
     try:
         samples, dropped = deep_image(
             part,
             data,
-            image.display,
+            raster.data,
             names,
-            to_planar=lambda values, pixel: _planar_samples(found.depth, values, pixel, shape, options),
-            to_motion=lambda channels: _mean_motion(found.motion, channels, shape, options.scale),
+            to_planar=lambda values, pixel: _planar_samples(found.depth, values, pixel, shape, options, scale),
+            to_motion=lambda channels: _mean_motion(found.motion, channels, shape, scale),
             unpremultiplied=options.unpremultiplied,
             repair=options.repair,
         )
@@ -448,7 +370,7 @@ def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: Re
         raise type(error)(f"{path}: {error}") from None
     if dropped:
         text = f"{path}: {dropped} invalid deep samples were mended, or dropped where the colour is invalid"
-        warnings.warn(text, stacklevel=4)
+        warnings.warn(text, stacklevel=5)
     return samples
 
 
@@ -461,10 +383,15 @@ def recognise_deep(image: Image, options: ReadOptions) -> Recognised:
 
 
 def _planar_samples(
-    found: Found, values: FloatArray, pixel: npt.NDArray[np.int64], shape: tuple[int, int], options: ReadOptions
+    found: Found,
+    values: FloatArray,
+    pixel: npt.NDArray[np.int64],
+    shape: tuple[int, int],
+    options: ReadOptions,
+    scale: Scale,
 ) -> FloatArray:
     """Return planar depth in metres of samples in the pixels of an image."""
-    planar = planar_samples(found.convention, values, pixel, shape, options.scale)
+    planar = planar_samples(found.convention, values, pixel, shape, scale)
     if options.background_depth is None:
         return planar
     return np.where(background_places(options.background_depth, values), BACKGROUND_DEPTH, planar)
@@ -481,27 +408,26 @@ def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, in
 def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     """Return one layer of labelled pixels; its errors start with the file's path."""
     found = recognise(image, options, passes)
-    check_same_window(found.colour.image, found.names_in(found.colour.image))
-    radiance = _radiance(found.colour, options.unpremultiplied)
+    raster = found.colour.image.raster(found.colour.channels[0])
+    scale = replace(options.scale, raster=raster)
+    radiance = _radiance(found.colour, options.unpremultiplied, raster.data)
     _warn(image, found)
     try:
-        stored = _label("depth", found.depth, radiance)[..., 0]
-        alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
-        nothing = np.zeros(stored.shape, np.bool_)
+        stored = _label("depth", found.depth, found.colour.image, raster.data, 1.0)[..., 0]
+        nothing = ~covered(found.depth.image, found.depth.channels[0], raster.data)
         if options.background_depth is not None:
-            nothing = background_places(options.background_depth, stored)
-        seen = ~nothing if alpha is None else ~nothing & (alpha > 0)
+            nothing |= background_places(options.background_depth, stored)
+        seen = ~nothing if radiance.shape[2] == 3 else ~nothing & (radiance[..., 3] > 0)
         planar_told = options.preset is not None and found.depth.convention == "planar"
         told = options.depth_convention is not None or planar_told
         if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, seen, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
-        planar = planar_depth(found.depth.convention, stored, options.scale)
-        planar = np.where(nothing, BACKGROUND_DEPTH, planar)
+        planar = np.where(nothing, BACKGROUND_DEPTH, planar_depth(found.depth.convention, stored, scale))
         labels = {}
         if found.motion is not None:
-            channels = _label("motion", found.motion, radiance)
-            labels = motion_labels(found.motion.convention, channels, planar, options.scale)
-        return Frame(radiance, planar, **labels, repair=options.repair)
+            channels = _label("motion", found.motion, found.colour.image, raster.data)
+            labels = motion_labels(found.motion.convention, channels, planar, scale)
+        return Frame(radiance, planar, **labels, raster=raster, repair=options.repair)
     except InvalidFrameError as error:
         raise InvalidFrameError(f"{image.path}: {error}{_background_advice(error)}") from None
     except InvalidParameterError as error:
@@ -515,14 +441,18 @@ def _background_advice(error: InvalidFrameError) -> str:
     return f"; if it stands for the background, say so with {option('background_depth')}: a number, nan, <X or >X"
 
 
-def _label(what: str, found: Found, radiance: FloatArray) -> FloatArray:
-    """Return a label's channels, (H, W, n), after checking that they cover what the colours cover."""
+def _label(what: str, found: Found, picture: Image, target: Window, fill: float = 0.0) -> FloatArray:
+    """Return a label's channels in a window, (H, W, n); one in a file of its own has the picture's size."""
     check_same_window(found.image, found.channels)
-    values = gather(found.image, found.channels)
-    if values.shape[:2] != radiance.shape[:2]:
-        there, wanted = (f"{shape[1]} x {shape[0]} px" for shape in (values.shape, radiance.shape))
-        raise InvalidFrameError(f"the {what} in {found.image.path} has {there}, the colours have {wanted}")
-    return values
+    _check_size(what, found.image, picture)
+    return gather(found.image, found.channels, target, fill)
+
+
+def _check_size(what: str, image: Image, picture: Image) -> None:
+    """Raise InvalidFileError unless a pass in a file of its own is displayed in a window of the picture's size."""
+    if image.display.shape != picture.display.shape:
+        there, wanted = (f"{each.display.width} x {each.display.height} px" for each in (image, picture))
+        raise InvalidFileError(f"the {what} in {image.path} has {there}, the colours have {wanted}")
 
 
 def _warn(image: Image, found: Recognised) -> None:
@@ -531,21 +461,18 @@ def _warn(image: Image, found: Recognised) -> None:
         warnings.warn(f"{image.path}: {doubt}", AmbiguousInputWarning, stacklevel=4)
 
 
-def _radiance(colour: Colour, unpremultiplied: bool) -> FloatArray:
-    """Return the colours; opaque ones get an alpha where their data window does not fill the display window."""
+def _radiance(colour: Colour, unpremultiplied: bool, target: Window | None = None) -> FloatArray:
+    """Return the colours in a window, by default the display's; opaque ones get an alpha where they do not fill it."""
     image, alpha_image = colour.image, colour.alpha_image
-    check_same_window(image, colour.channels if alpha_image is not image else colour.names)
-    colours = gather(image, colour.channels)
-    window = image.planes[colour.channels[0]].window
+    target = image.display if target is None else target
+    check_same_window(image, colour.channels)
+    colours = gather(image, colour.channels, target)
     if colour.alpha:
         check_same_window(alpha_image, colour.alpha)
-        alpha = gather(alpha_image, colour.alpha).mean(axis=2, keepdims=True)
-        if alpha.shape[:2] != colours.shape[:2]:
-            there, wanted = (f"{shape[1]} x {shape[0]} px" for shape in (alpha.shape, colours.shape))
-            raise InvalidFileError(f"{image.path}: alpha in {alpha_image.path} has {there}, the colours have {wanted}")
-    elif window != image.display:
-        alpha = np.zeros((*colours.shape[:2], 1), np.float32)
-        alpha[overlap(image.display, window)[0]] = 1
+        _check_size("alpha", alpha_image, image)
+        alpha = gather(alpha_image, colour.alpha, target).mean(axis=2, keepdims=True)
+    elif image.planes[colour.channels[0]].window != target:
+        alpha = covered(image, colour.channels[0], target).astype(np.float32)[..., None]
     else:
         return colours
     return np.concatenate([colours * alpha if unpremultiplied else colours, alpha], axis=2)
@@ -570,16 +497,6 @@ def _sequence_doubts(files: Sequence[PathLike]) -> list[str]:
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------
-
-
-def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, str | int | float]:
-    """Return the metadata, or raise InvalidParameterError if the header cannot hold it."""
-    for name, value in metadata.items():
-        if name in RESERVED_METADATA:
-            raise InvalidParameterError(f"metadata {name!r} is reserved: it describes the file itself")
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise InvalidParameterError(f"metadata {name!r} is {value!r}; it must be a string, an integer or a float")
-    return dict(metadata)
 
 
 def _stored_channels(layer: Layer, row: Preset, scale: Scale, unpremultiplied: bool) -> dict[str, FloatArray]:

@@ -11,17 +11,19 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import OpenEXR
 
-from spreadlets.arrays import FloatArray, PathLike
+from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, option
 from spreadlets.files.atomic import LIBRARY_ERRORS
+from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
+from spreadlets.scene.raster import Attribute, Raster, Window, overlap
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 """What every OpenEXR file starts with."""
@@ -62,15 +64,6 @@ _STDERR_DESCRIPTOR = 2
 _STDERR_LOCK = threading.Lock()
 
 
-class Window(NamedTuple):
-    """A pixel rectangle: left column, top row, width, height."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
 @dataclass(frozen=True, eq=False)
 class Plane:
     """One channel's pixels where the file stores them, and where it belongs.
@@ -107,6 +100,7 @@ class Part:
     name: str
     header: Mapping[str, Any]
     planes: Mapping[str, Plane]
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)
 
     @property
     def display(self) -> Window:
@@ -117,6 +111,11 @@ class Part:
     def view(self) -> str:
         """The view of a stereo image that the whole part belongs to, or empty."""
         return str(self.header.get("view", ""))
+
+    @property
+    def pixel_aspect(self) -> float:
+        """Width of a pixel over its height, as displayed."""
+        return float(self.header.get("pixelAspectRatio", 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +139,17 @@ class Image:
     path: PathLike
     planes: Mapping[str, Plane]
     display: Window
+    parts: Sequence[Part] = ()
     names: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
+
+    def raster(self, name: str) -> Raster:
+        """Return where a channel's pixels lie, and what the header of its part says besides."""
+        plane = self.planes[name]
+        if not self.parts:
+            return Raster(plane.window, self.display)
+        part = self.parts[plane.part]
+        return Raster(plane.window, self.display, part.pixel_aspect, attributes=part.attributes)
 
     @property
     def n_parts(self) -> int:
@@ -196,7 +204,7 @@ def merged(path: PathLike, parts: Sequence[Part]) -> Image:
         for name, plane in part.planes.items():
             full, placed = _placed(name, plane, part, index, named, alone=len(parts) == 1)
             planes[full if full not in planes else f"part{index}.{name}"] = placed
-    return Image(path, planes, parts[0].display, tuple(planes), tuple(views))
+    return Image(path, planes, parts[0].display, parts, tuple(planes), tuple(views))
 
 
 def _placed(name: str, plane: Plane, part: Part, index: int, views: Sequence[str], *, alone: bool) -> tuple[str, Plane]:
@@ -238,22 +246,25 @@ def read_parts(path: PathLike) -> list[Part]:
     headers = read_headers(path)
     check_headers(path, headers)
     check_chunks(path)
+    carried = carried_attributes(path)
     file, messages = _open(path, header_only=False)
-    parts = [
-        Part(
-            part.name(),
-            part.header,
-            {
-                name: Plane(channel.pixels, window(part.header["dataWindow"]), (channel.xSampling, channel.ySampling))
-                for name, channel in part.channels.items()
-            },
-        )
-        for part in file.parts
-    ]
+    parts = []
+    for part, attributes in zip(file.parts, carried, strict=False):  # their number is checked below
+        data = window(part.header["dataWindow"])
+        planes = {
+            name: Plane(channel.pixels, data, (channel.xSampling, channel.ySampling))
+            for name, channel in part.channels.items()
+        }
+        parts.append(part_of(part.header, planes, attributes))
     # The binding skips parts that it fails to decode.
     if len(parts) < len(headers) or not all(part.planes for part in parts):
         raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
     return parts
+
+
+def part_of(header: Mapping[str, Any], planes: Mapping[str, Plane], attributes: Mapping[str, Attribute]) -> Part:
+    """Return a part of a file by its header, its channels, and the attributes that do not describe its own pixels."""
+    return Part(str(header.get("name", "")), header, planes, attributes)
 
 
 def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
@@ -382,24 +393,33 @@ def check_same_window(image: Image, names: Sequence[str]) -> None:
             )
 
 
-def gather(image: Image, names: Sequence[str]) -> FloatArray:
-    """Return channels as (H, W, n) float32 in the display window, zero where the data window does not reach."""
-    display = image.display
-    result = np.zeros((display.height, display.width, len(names)), np.float32)
+def gather(image: Image, names: Sequence[str], target: Window | None = None, fill: float = 0.0) -> FloatArray:
+    """Return channels as (H, W, n) float32 in a window, filled where their data windows do not reach.
+
+    Parameters
+    ----------
+    image : Image
+    names : sequence of str
+        Channels, each with every pixel of its own data window.
+    target : Window, optional
+        By default the display window.
+    fill : float
+        What stands where a channel has no pixel.
+    """
+    target = image.display if target is None else target
+    result = np.full((*target.shape, len(names)), fill, np.float32)
     for index, name in enumerate(names):
         plane = image.planes[name]
-        target, source = overlap(display, plane.window)
-        result[(*target, index)] = plane.pixels[source]
+        there, here = overlap(target, plane.window)
+        result[(*there, index)] = plane.pixels[here]
     return result
 
 
-def overlap(display: Window, data: Window) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the rows and columns that two windows share, counted in the one and in the other."""
-    left, right = max(display.left, data.left), min(display.left + display.width, data.left + data.width)
-    top, bottom = max(display.top, data.top), min(display.top + display.height, data.top + data.height)
-    right, bottom = max(left, right), max(top, bottom)
-    shared = [(slice(top - w.top, bottom - w.top), slice(left - w.left, right - w.left)) for w in (display, data)]
-    return shared[0], shared[1]
+def covered(image: Image, name: str, target: Window) -> BoolArray:
+    """Return which pixels (H, W) of a window a channel has."""
+    inside = np.zeros(target.shape, np.bool_)
+    inside[overlap(target, image.planes[name].window)[0]] = True
+    return inside
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------

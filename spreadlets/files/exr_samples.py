@@ -11,18 +11,22 @@ import OpenEXR
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError
 from spreadlets.files.atomic import atomic_path
+from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.exr_parts import (
     Image,
     check_same_window,
+    covered,
     gather,
     library_messages,
     merged,
-    overlap,
     part_header,
+    read_headers,
     read_parts,
+    window,
 )
 from spreadlets.files.tlfr import HEADER_SUFFIX, is_tlfr, read_tlfr
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
 
 CHANNELS: Mapping[str, tuple[str, ...]] = {
@@ -88,6 +92,20 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
         return _read_exr(path, repair)
     except InvalidFrameError as error:
         raise InvalidFrameError(f"{path}: {error}") from None
+
+
+def samples_files(path: PathLike) -> list[str]:
+    """Return the files that `read_samples` may read for a path."""
+    name = os.fspath(path).removesuffix(HEADER_SUFFIX)
+    return [os.fspath(path), name, name + HEADER_SUFFIX]
+
+
+def samples_raster(path: PathLike, shape: tuple[int, int]) -> Raster:
+    """Return where the pixels (H, W) lie that `read_samples` gives, and what the file's first header says besides."""
+    if os.path.isfile(os.fspath(path).removesuffix(HEADER_SUFFIX) + HEADER_SUFFIX):
+        return Raster.of_shape(shape)
+    display = window(read_headers(path)[0]["displayWindow"])
+    return Raster(display, display, attributes=carried_attributes(path)[0])
 
 
 def write_samples(path: PathLike, samples: SampleBuffer) -> None:
@@ -167,6 +185,4 @@ def _there(image: Image) -> BoolArray:
     if VALID in image.planes:
         check_same_window(image, ["R", VALID])
         return gather(image, (VALID,))[..., 0] > 0
-    inside = np.zeros((image.display.height, image.display.width), np.bool_)
-    inside[overlap(image.display, image.planes["R"].window)[0]] = True
-    return inside
+    return covered(image, "R", image.display)

@@ -9,19 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from fileseq.constants import PAD_STYLE_HASH1
-from fileseq.exceptions import MaxSizeException, ParseException
-from fileseq.filesequence import FileSequence
-from fileseq.frameset import FrameSet
-from fileseq.utils import pad
+from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError, SpreadletsError
 
-from spreadlets.errors import InvalidDatabaseError, InvalidFileError, InvalidParameterError, SpreadletsError
-
-COUNTER = re.compile(r"#+|@+|%(?:0\d+)?d|\$F\d*")
-"""What stands for the frame's number: one ``#`` or ``@`` for each digit, or as in C or in Houdini."""
-
-NAME = re.compile(f"[^{re.escape(os.sep + (os.altsep or ''))}]+")
-"""A folder's or a file's name in a path."""
+COUNTER = re.compile(r"#+|@+|%0(\d+)d|%d|\$F(\d*)")
+"""What stands for the frame's number: one ``#`` or ``@`` per digit, or as in C or Houdini."""
 
 MAX_FRAMES = 1_000_000
 """Longest sequence, eleven hours at 24 frames a second: a slip of the keyboard should not fill memory."""
@@ -29,49 +20,19 @@ MAX_FRAMES = 1_000_000
 NAMED_FRAMES = 20
 """How many missing numbers an error lists."""
 
-SAME_FOR_ALL_FRAMES = (InvalidParameterError, InvalidDatabaseError)
-"""Errors that every other frame would have, too."""
-
 
 def is_pattern(path: str) -> bool:
-    """Tell whether a path stands for a sequence: it has a counter, and is not the name of a file.
-
-    Examples
-    --------
-    >>> is_pattern("shot.####.exr"), is_pattern("####_beauty.exr"), is_pattern("shot.exr")
-    (True, True, False)
-    """
+    """Tell whether a path stands for a sequence: it has a counter, and is not the name of a file."""
     return bool(_counters(path))
 
 
 def numbered(pattern: str, number: int) -> str:
-    """Return the path of one frame; a path without a counter is the same for all.
-
-    Examples
-    --------
-    >>> numbered("shot.####.exr", 7), numbered("shot.%d.exr", -3), numbered("shot.$F3.exr", 7)
-    ('shot.0007.exr', 'shot.-3.exr', 'shot.007.exr')
-    """
-    text, end = "", 0
+    """Return the path of one frame: its number in place of each counter; a path without is the same for all."""
+    parts, end = [], 0
     for counter in _counters(pattern):
-        digits = FileSequence.getPaddingNum(counter[0], pad_style=PAD_STYLE_HASH1)
-        text += pattern[end : counter.start()] + pad(number, digits)
+        parts += [pattern[end : counter.start()], f"{number:0{_digits(counter)}d}"]
         end = counter.end()
-    return text + pattern[end:]
-
-
-def _counters(path: str) -> list[re.Match[str]]:
-    """Return the counters of a path: the last in the file's name, and in the names of folders that do not exist.
-
-    What looks like another is a part of the name, and what is the name of a file or folder has none.
-    """
-    if os.path.exists(path):
-        return []
-    folder = os.path.dirname(path)
-    while folder and not os.path.isdir(folder):
-        folder = os.path.dirname(folder)
-    names = NAME.finditer(path, len(folder))
-    return [each for name in names for each in list(COUNTER.finditer(path, *name.span()))[-1:]]
+    return "".join(parts) + pattern[end:]
 
 
 def parse_frames(text: str) -> list[int]:
@@ -80,7 +41,7 @@ def parse_frames(text: str) -> list[int]:
     Parameters
     ----------
     text : str
-        Such as ``1-24``, ``1-24x2`` (every second), ``-5-10``, or ``1,5,9-12``.
+        Such as ``1-24``, ``1-24x2`` (every second), ``1,5,9-12``, or ``-10--1``.
 
     Returns
     -------
@@ -91,35 +52,32 @@ def parse_frames(text: str) -> list[int]:
     ------
     InvalidParameterError
         If the text is no such list, or names too many frames.
-
-    Examples
-    --------
-    >>> parse_frames("1-9x4,-2")
-    [-2, 1, 5, 9]
     """
-    try:
-        frames = FrameSet(text)
-    except MaxSizeException:
-        raise InvalidParameterError(f"frames names more than {MAX_FRAMES} frames") from None
-    except ParseException:
-        frames = FrameSet("")
-    if not len(frames) or any(number != int(number) for number in frames):
-        raise InvalidParameterError(f"frames is {text!r}; it must be like 1-24, 1-24x2 or 1,5,9-12")
-    if len(frames) > MAX_FRAMES:
-        raise InvalidParameterError(f"frames names more than {MAX_FRAMES} frames")
-    return sorted(int(number) for number in frames)
+    numbers: set[int] = set()
+    for item in text.split(","):
+        found = re.fullmatch(r"\s*(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?\s*", item)
+        if found is None or found[3] is not None and int(found[3]) == 0:
+            raise InvalidParameterError(f"frames is {text!r}; it must be like 1-24, 1-24x2 or 1,5,9-12")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if last < first:
+            raise InvalidParameterError(f"frames names the range {item.strip()}, which ends before it begins")
+        chosen = range(first, last + 1, int(found[3] or 1))
+        if len(numbers) + len(chosen) > MAX_FRAMES:
+            raise InvalidParameterError(f"frames names more than {MAX_FRAMES} frames")
+        numbers.update(chosen)
+    return sorted(numbers)
 
 
 def existing_frames(pattern: str) -> list[int]:
     """Return the numbers of a pattern's files that exist, ascending."""
-    ends = [(counter.start(), counter.end()) for counter in _counters(pattern)]
-    begins = [0, *(end for _, end in ends)]
-    texts = [
-        pattern[begin:end] for begin, end in zip(begins, [*(start for start, _ in ends), len(pattern)], strict=True)
-    ]
-    found = re.compile(r"(-?\d+)".join(map(re.escape, texts)))
-    matches = map(found.fullmatch, glob.glob("*".join(map(glob.escape, texts))))
-    numbers = {int(match[1]) for match in matches if match and len(match.groups())}
+    first, *_ = counters = _counters(pattern)
+    ends = [counter.end() for counter in counters]
+    begins = [*(counter.start() for counter in counters[1:]), len(pattern)]
+    between = [pattern[end:begin] for end, begin in zip(ends, begins, strict=True)]
+    before = pattern[: first.start()]
+    found = re.compile(re.escape(before) + r"(-?\d+)" + r"-?\d+".join(map(re.escape, between)))
+    names = glob.glob(glob.escape(before) + "*" + "*".join(map(glob.escape, between)))
+    numbers = {int(match[1]) for match in map(found.fullmatch, names) if match}
     return sorted(number for number in numbers if os.path.exists(numbered(pattern, number)))
 
 
@@ -149,9 +107,9 @@ def sequence_frames(
     Raises
     ------
     InvalidFileError
-        If no frame has all its files; the message names one that lacks and its numbers.
+        If an input lacks a frame; the message names the numbers.
     InvalidParameterError
-        If the output has no counter or would replace an input, or the frames cannot be parsed.
+        If the output has no counter, or the frames cannot be parsed.
     """
     patterns = [path for path in inputs if is_pattern(path)]
     if not is_pattern(output):
@@ -162,14 +120,10 @@ def sequence_frames(
         numbers = sorted(set().union(*(existing_frames(pattern) for pattern in patterns)))
         if not numbers:
             raise InvalidFileError(f"{patterns[0]}: no such frames exist")
-    lacking: set[int] = set()
     for path in [*inputs, *others]:
         missing = [number for number in numbers if not os.path.isfile(numbered(path, number))]
-        lacking.update(missing)
-        if len(lacking) == len(numbers):
+        if missing:
             raise InvalidFileError(f"{path}: {len(missing)} frames are missing: {listed(missing)}")
-    if os.path.realpath(numbered(output, numbers[0])) in {os.path.realpath(numbered(p, numbers[0])) for p in inputs}:
-        raise InvalidParameterError(f"the output {output} would replace the frames that are read")
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers)) if frames is None else []
     return numbers, gaps
 
@@ -200,14 +154,14 @@ def run_sequence(
     Returns
     -------
     dict
-        ``frames`` (a list of reports with ``frame``, ``output``, ``skipped``, and ``error`` if it could not be made),
-        ``written``, ``skipped``, ``failed`` (the numbers of those that could not) and ``total_s``.
+        ``frames`` (a list of reports with ``frame``, ``output`` and ``skipped``, and ``error`` if it failed),
+        ``written``, ``skipped``, ``failed`` (the numbers of frames whose files or pixels are bad) and ``total_s``.
 
     Raises
     ------
-    InvalidParameterError, InvalidDatabaseError
-        As `make` raises them, since every frame would have the same; earlier results stay. Other errors are the
-        frame's own, and the next one is made.
+    SpreadletsError
+        Of another kind than bad files and pixels, as `make` raises it; the message says which frame. Earlier results
+        stay.
     """
     begin = time.perf_counter()
     reports = []
@@ -217,25 +171,19 @@ def run_sequence(
         done = os.path.isfile(path) and not overwrite
         entry: dict[str, Any] = {"frame": number, "output": path, "skipped": done}
         if not done:
-            entry |= _made(make, number, path)
+            try:
+                entry |= make(number, path)
+            except (InvalidFileError, InvalidFrameError) as error:
+                entry["error"] = str(error)
+            except SpreadletsError as error:
+                raise type(error)(f"frame {number}: {error}") from error
         reports.append(entry)
         progress(index + 1, len(numbers))
     skipped = sum(entry["skipped"] for entry in reports)
     failed = [entry["frame"] for entry in reports if "error" in entry]
-    counts = {"written": len(reports) - skipped - len(failed), "skipped": skipped, "failed": failed}
-    return {"frames": reports} | counts | {"total_s": time.perf_counter() - begin}
-
-
-def _made(make: Callable[[int, str], dict[str, Any]], number: int, path: str) -> dict[str, Any]:
-    """Return the report of a frame, or what was wrong with it."""
-    try:
-        return make(number, path)
-    except SAME_FOR_ALL_FRAMES as error:
-        raise type(error)(f"frame {number}: {error}") from error
-    except SpreadletsError as error:
-        return {"error": str(error)}
-    except Exception as error:  # a night's frames do not hang on one
-        return {"error": f"{type(error).__name__}: {error}"}
+    written = len(reports) - skipped - len(failed)
+    figures = {"written": written, "skipped": skipped, "failed": failed, "total_s": time.perf_counter() - begin}
+    return {"frames": reports, **figures}
 
 
 def listed(numbers: Iterable[int]) -> str:
@@ -248,3 +196,19 @@ def listed(numbers: Iterable[int]) -> str:
             runs.append([number, number])
     shown = [f"{first}-{last}" if last > first else str(first) for first, last in runs[:NAMED_FRAMES]]
     return ", ".join(shown) + (", ..." if len(runs) > NAMED_FRAMES else "")
+
+
+def _counters(path: str) -> list[re.Match[str]]:
+    """Return the counters of a path; what is the name of a folder or file that exists has none."""
+    if os.path.exists(path):
+        return []
+    folder = os.path.dirname(path)
+    while folder and not os.path.isdir(folder):
+        folder = os.path.dirname(folder)
+    return list(COUNTER.finditer(path, len(folder)))
+
+
+def _digits(counter: re.Match[str]) -> int:
+    if counter[0][0] in "#@":
+        return len(counter[0])
+    return int(counter[1] or counter[2] or 1)

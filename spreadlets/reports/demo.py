@@ -11,6 +11,7 @@ from spreadlets.api import reconstruct, synthesize
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
+from spreadlets.files import images
 from spreadlets.files.cameras import read_camera
 from spreadlets.files.exr_samples import read_samples
 from spreadlets.runtime.clock import Clock
@@ -89,8 +90,8 @@ def _written(output: Path, name: str, pictures: dict[str, Image], report: Report
     """Write the result and the pictures beside the reference, and add to the report how far from it the result is."""
     reference = exr.read_image(DATA / f"{name}_ref_dofmb.exr")
     with clock.step("write"):
-        exr.write_image(output / "result.exr", pictures["result"])
+        images.write_image(output / "result.exr", pictures["result"])
     for each, picture in (pictures | {"reference": reference}).items():
-        exr.write_png(output / f"{each}.png", picture)
+        images.write_png(output / f"{each}.png", picture)
     figures = metrics.compare(pictures["result"], reference)
     return report.to_dict() | {"time_s": clock.times()} | figures | {"written_to": str(output)}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import AmbiguousInputWarning, InvalidFrameError, option
+from spreadlets.scene.raster import Raster, Window, placed
 
 ALPHA_TOLERANCE = 1e-3
 """Alpha may leave [0, 1] by this much and is clipped without a word: half floats near 1 step by 5e-4."""
@@ -41,6 +43,8 @@ class Layer:
         The same over the frame before and the frame after, both forward in time, for a curved path.
     has_motion : bool
         Whether motion was given; if not, `motion` is zero.
+    raster : Raster
+        Where the pixels lie.
     """
 
     radiance: FloatArray
@@ -49,6 +53,7 @@ class Layer:
     motion_prev: FloatArray | None = None
     motion_next: FloatArray | None = None
     has_motion: bool = True
+    raster: Raster = field(kw_only=True)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -70,6 +75,8 @@ class Frame:
         is taken; without those the frame is still.
     motion_prev, motion_next : array_like of shape (H, W, 2), optional
         Motion from the frame before and to the frame after, both forward in time; they come together.
+    raster : Raster, optional
+        Where the pixels lie: the data window has the arrays' shape. By default all of them are displayed, as squares.
     repair : bool
         Mend offending pixels and count them in `repaired_pixels` instead of raising: a bad depth becomes background, a
         bad motion still, alpha is clipped, and a bad colour is filled from valid neighbours of like depth.
@@ -77,8 +84,8 @@ class Frame:
     Raises
     ------
     InvalidFrameError
-        If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has non-finite
-        radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
+        If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has
+        non-finite radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
         <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row, col), how
         many there are, and what is allowed.
 
@@ -113,15 +120,16 @@ class Frame:
         *,
         motion_prev: npt.ArrayLike | None = None,
         motion_next: npt.ArrayLike | None = None,
+        raster: Raster | None = None,
         repair: bool = False,
     ) -> None:
-        layer = _converted_layer(radiance, depth, motion, motion_prev, motion_next)
+        layer = _converted_layer(radiance, depth, (motion, motion_prev, motion_next), raster)
         layer, self._repaired_pixels, self._dropped_pixels = _validated_layer(layer, repair)
         self._layers: tuple[Layer, ...] = (layer,)
 
     @classmethod
     def from_layers(cls, layers: Iterable[Frame | tuple[npt.ArrayLike, ...]], *, repair: bool = False) -> Frame:
-        """Stack layers into one frame.
+        """Stack layers into one frame; where data windows differ, each is placed in the smallest that holds all.
 
         Parameters
         ----------
@@ -137,21 +145,62 @@ class Frame:
         Raises
         ------
         InvalidFrameError
-            If there is no layer, a layer is invalid, or the layers' shapes differ; the message says which layer.
+            If there is no layer, a layer is invalid, or the layers' display windows or pixel aspects differ; the
+            message says which layer.
         """
         frames = [_frame_from_item(index, item, repair) for index, item in enumerate(layers)]
         if not frames:
             raise InvalidFrameError("a frame needs at least one layer; none was given")
+        first = frames[0].raster
         for index, frame in enumerate(frames):
-            if frame.shape != frames[0].shape:
+            if (frame.raster.display, frame.raster.pixel_aspect) != (first.display, first.pixel_aspect):
                 raise InvalidFrameError(
-                    f"layer {index} has shape {frame.shape}, layer 0 has {frames[0].shape}; all layers share one shape"
+                    f"layer {index} is displayed as {_displayed(frame.raster)}, layer 0 as {_displayed(first)}; all "
+                    "layers share one display window"
                 )
-        stacked = cls.__new__(cls)
-        stacked._layers = tuple(layer for frame in frames for layer in frame.layers)
-        stacked._dropped_pixels = sum(frame.dropped_pixels for frame in frames)
-        stacked._repaired_pixels = sum(frame.repaired_pixels for frame in frames)
-        return stacked
+        window = functools.reduce(Window.union, (frame.raster.data for frame in frames))
+        stored = functools.reduce(Window.union, (frame.raster.stored or frame.raster.data for frame in frames))
+        shared = replace(first, data=window, stored=None if stored == window else stored)
+        placed_layers = [_placed_layer(layer, shared) for frame in frames for layer in frame.layers]
+        repaired, dropped = (
+            sum(getattr(frame, name) for frame in frames) for name in ("repaired_pixels", "dropped_pixels")
+        )
+        return cls.of(placed_layers, dropped, repaired)
+
+    def reaching(self, window: Window) -> Frame:
+        """Return the frame with empty pixels around it, in a data window that holds its own."""
+        return self._of([_placed_layer(layer, self.raster.reaching(window)) for layer in self.layers])
+
+    def lying_at(self, raster: Raster) -> Frame:
+        """Return the frame's pixels elsewhere: in a data window of the same shape, or otherwise displayed.
+
+        Raises
+        ------
+        InvalidFrameError
+            If the data window has another shape.
+        """
+        _check_raster(raster, self.shape)
+        return self._of([replace(layer, raster=raster) for layer in self.layers])
+
+    def coloured(self, radiance: FloatArray) -> Frame:
+        """Return the frame with another radiance (H, W, 4) in its only layer."""
+        return self._of([replace(self._only_layer(), radiance=image_array("radiance", radiance))])
+
+    @classmethod
+    def of(cls, layers: Sequence[Layer], dropped_pixels: int = 0, repaired_pixels: int = 0) -> Frame:
+        """Return a frame of layers that were made of another frame's, and are valid as those were."""
+        made = cls.__new__(cls)
+        made._layers, made._dropped_pixels, made._repaired_pixels = tuple(layers), dropped_pixels, repaired_pixels
+        return made
+
+    def _of(self, layers: Sequence[Layer]) -> Frame:
+        """Return a frame of layers that were made of this one's."""
+        return Frame.of(layers, self.dropped_pixels, self.repaired_pixels)
+
+    @property
+    def raster(self) -> Raster:
+        """Where the pixels of all layers lie, and what the header of the first layer's file says besides."""
+        return self._layers[0].raster
 
     @property
     def layers(self) -> tuple[Layer, ...]:
@@ -160,7 +209,7 @@ class Frame:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width in pixels."""
+        """Height and width of the data window in pixels."""
         return self._layers[0].shape
 
     @property
@@ -296,9 +345,8 @@ def _frame_from_item(index: int, item: Frame | tuple[npt.ArrayLike, ...], repair
 def _converted_layer(
     radiance: npt.ArrayLike,
     depth: npt.ArrayLike,
-    motion: npt.ArrayLike | None,
-    motion_prev: npt.ArrayLike | None,
-    motion_next: npt.ArrayLike | None,
+    motions: tuple[npt.ArrayLike | None, npt.ArrayLike | None, npt.ArrayLike | None],
+    raster: Raster | None,
 ) -> Layer:
     """Return a layer of contiguous float32 arrays whose shapes agree; the values are not looked at."""
     colour = image_array("radiance", radiance)
@@ -309,6 +357,9 @@ def _converted_layer(
             f"values: divide by {2 ** (8 * codes.itemsize) - 1} and undo the display's encoding"
         )
     height, width = colour.shape[:2]
+    raster = raster or Raster.of_shape((height, width))
+    _check_raster(raster, (height, width))
+    motion, motion_prev, motion_next = motions
     if colour.shape[2] == 3:
         colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
     z = _label_array("depth", depth, (height, width))
@@ -324,7 +375,36 @@ def _converted_layer(
         with np.errstate(invalid="ignore"):  # infinities of both signs: found by the validation
             given["motion"] = 0.5 * before + 0.5 * after
     path = given["motion"] if "motion" in given else np.zeros((height, width, 2), np.float32)
-    return Layer(colour, z, path, before, after, has_motion=bool(given))
+    return Layer(colour, z, path, before, after, has_motion=bool(given), raster=raster)
+
+
+def _check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+    if raster.data.shape != shape:
+        raise InvalidFrameError(f"the data window has the shape {raster.data.shape}, the pixels {shape}")
+
+
+def _placed_layer(layer: Layer, raster: Raster) -> Layer:
+    """Return a layer as it lies in another data window, with empty pixels where it does not reach."""
+    if layer.raster == raster:
+        return layer
+    own, target = layer.raster.data, raster.data
+    before, after = layer.motion_prev, layer.motion_next
+    return replace(
+        layer,
+        radiance=placed(layer.radiance, own, target),
+        depth=placed(layer.depth, own, target, float(BACKGROUND_DEPTH)),
+        motion=placed(layer.motion, own, target),
+        motion_prev=None if before is None else placed(before, own, target),
+        motion_next=None if after is None else placed(after, own, target),
+        raster=raster,
+    )
+
+
+def _displayed(raster: Raster) -> str:
+    """Return what errors say of a display window."""
+    left, top, width, height = raster.display
+    shape = "" if raster.pixel_aspect == 1 else f", pixel aspect {raster.pixel_aspect:g}"
+    return f"{width} x {height} px at ({left}, {top}){shape}"
 
 
 def _label_array(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -14,8 +14,8 @@ import spreadlets.runtime.finish.denoise
 from spreadlets.api import reconstruct
 from spreadlets.cli.main import main
 from spreadlets.errors import InvalidParameterError
-from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
+from spreadlets.files.images import write_image
 from spreadlets.runtime.sheared import _tile_kernels
 from spreadlets.runtime.sheared import layers as layering
 from spreadlets.runtime.sheared.filters import (

@@ -12,8 +12,8 @@ from spreadlets.api import reconstruct, synthesize
 from spreadlets.arrays import NOTHING
 from spreadlets.cli.main import cli, main
 from spreadlets.errors import InvalidParameterError
-from spreadlets.files.exr_frames import write_image
 from spreadlets.files.exr_samples import write_samples
+from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
 from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, share_beyond

@@ -10,6 +10,7 @@ import pytest
 
 from spreadlets.cli import main as cli
 from spreadlets.files import exr_frames as exr
+from spreadlets.files import images
 from spreadlets.psf.database import open_database
 from spreadlets.scene.frame import Frame
 
@@ -28,7 +29,7 @@ def scene(tmp_path):
     radiance = rng.random((24, 32, 3)).astype(np.float32)
     motion = np.full((24, 32, 2), 4.0, np.float32)
     exr.write_frame(tmp_path / "frame.exr", Frame(radiance, np.full((24, 32), 5.0), motion))
-    exr.write_image(tmp_path / "reference.exr", radiance)
+    images.write_image(tmp_path / "reference.exr", radiance)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
     return tmp_path
 
@@ -157,7 +158,7 @@ def shot(scene):
     frame = exr.read_frame(scene / "frame.exr")
     for number in (1, 2, 3):
         exr.write_frame(scene / f"shot.{number:04d}.exr", Frame(frame.radiance * number / 3, frame.depth, frame.motion))
-        exr.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
+        images.write_image(scene / f"truth.{number:04d}.exr", frame.radiance)
     return scene
 
 
@@ -228,7 +229,7 @@ def test_an_interrupted_sequence_leaves_whole_frames_only_and_goes_on(run, shot,
 def test_a_sequence_goes_on_after_a_bad_frame_and_names_it(run, shot, small_combined_path):
     (shot / "shot.0002.exr").write_bytes(b"no image")
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
-    assert status == 1 and "error: frame 2: " in err and "failed: 1 of 3 frames could not be made: 2\n" in err
+    assert status == 1 and "failed: 1 frames: 2" in err and err.count("\n") == 1
     assert json.loads(out)["failed"] == [2] and "shot.0002.exr" in json.loads(out)["frames"][1]["error"]
     assert sorted(path.name for path in shot.glob("out*")) == ["out.01.exr", "out.03.exr"]
 
@@ -430,3 +431,74 @@ def test_a_build_that_cannot_go_on_fails_with_one_line(run, tmp_path, monkeypatc
     status, out, err = run("build", "simplelens", "-o", tmp_path / "a.h5", "--samples", 3, "--max-coc", 3, "--jobs", 1)
     assert status == 1 and out == "" and err.splitlines()[-1] == "stopped: no room"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_writes_over_what_it_reads(run, scene, small_combined_path):
+    before = {path.name: path.read_bytes() for path in scene.iterdir()}
+    database = scene / "database.exr"
+    database.write_bytes(small_combined_path.read_bytes())
+    (scene / "link.exr").symlink_to("frame.exr")
+    for name in ("frame.exr", "./frame.exr", "link.exr", "reference.exr", "database.exr"):
+        options = {"-o": f"{scene}/{name}", "--reference": scene / "reference.exr"}
+        status, _, err = run(*synth_arguments(scene, database, **options))
+        assert status == 2 and "would replace" in err, name
+    status, _, err = run(
+        "reconstruct", scene / "frame.exr", "-o", scene / "frame.exr", "--camera", scene / "camera.json"
+    )
+    assert status == 2 and "would replace" in err
+    for output in ("frame.exr", "camera.json"):
+        options = ("-o", scene / output, "--for", scene / "frame.exr", "--camera", scene / "camera.json")
+        status, _, err = run("build", "combined", *options)
+        assert status == 2 and "would replace" in err
+    options = ("-o", scene / "a.h5", "--camera", scene / "camera.json", "--log", scene / "camera.json")
+    status, _, err = run("build", "physicallens", *options)
+    assert status == 2 and "would replace" in err
+    status, _, err = run("info", database, "--plot", database)
+    assert status == 2 and "would replace" in err
+    assert before == {name: (scene / name).read_bytes() for name in before}
+
+
+def test_a_sequence_is_not_written_over_what_it_reads(run, shot, small_combined_path):
+    before = {path.name: path.read_bytes() for path in shot.iterdir()}
+    options = ("--camera", shot / "camera.json", "--db", small_combined_path, "--overwrite")
+    for output in ("shot.%04d.exr", "truth.####.exr"):
+        status, _, err = run(
+            "synth", shot / "shot.####.exr", "-o", shot / output, "--reference", shot / "truth.####.exr", *options
+        )
+        assert status == 2 and "would replace" in err
+    (shot / "out.02.exr").symlink_to("shot.0003.exr")
+    status, _, err = run("synth", shot / "shot.####.exr", "-o", shot / "out.##.exr", *options)
+    assert status == 2 and "out.02.exr would replace" in err
+    assert before == {name: (shot / name).read_bytes() for name in before}
+
+
+@pytest.mark.parametrize("output", ["out", "out.jpx", "nowhere/out.exr", "."])
+def test_an_output_that_cannot_be_written_is_refused_before_anything_is_read(run, scene, small_combined_path, output):
+    (scene / "frame.exr").write_bytes(b"not looked at")
+    status, _, err = run(*synth_arguments(scene, small_combined_path, **{"-o": f"{scene}/{output}"}))
+    assert status == 2 and "OpenEXR file" not in err and err.count("\n") == 1
+
+
+def test_further_colour_layers_are_blurred_and_the_rest_is_passed_through(run, scene, small_combined_path):
+    frame = exr.read_frame(scene / "frame.exr")
+    extra = {f"diffuse.{name}": 0.5 * frame.radiance[..., index] for index, name in enumerate("RGB")}
+    ids = np.arange(24 * 32, dtype=np.uint32).reshape(24, 32)
+    own = OpenEXR.File(str(scene / "frame.exr"), separate_channels=True).channels()
+    channels = {name: channel.pixels for name, channel in own.items()} | extra | {"id": ids}
+    stored = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, stored).write(str(scene / "frame.exr"))
+    arguments = synth_arguments(scene, small_combined_path)
+    status, _, err = run(*arguments, "--also", "diffuse", "--pass-through")
+    assert (status, err) == (0, "")
+    found = {
+        name: channel.pixels
+        for name, channel in OpenEXR.File(str(scene / "out.exr"), separate_channels=True).channels().items()
+    }
+    assert found.keys() == channels.keys()
+    np.testing.assert_allclose(found["diffuse.G"], 0.5 * found["G"], atol=2e-3)
+    for name in ("Z", "id", "motion.x"):
+        np.testing.assert_array_equal(found[name], channels[name])
+    status, _, err = run(*arguments, "--also", "specular")
+    assert status == 2 and "specular" in err
+    status, _, err = run(*synth_arguments(scene, small_combined_path, **{"-o": scene / "out.png"}), "--pass-through")
+    assert status == 2 and "are for OpenEXR" in err

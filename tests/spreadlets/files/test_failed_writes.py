@@ -8,6 +8,7 @@ import pytest
 import spreadlets as sp
 from spreadlets.errors import SpreadletsError
 from spreadlets.files import exr_frames as exr
+from spreadlets.files import images
 from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.tlfr import write_tlfr
 from spreadlets.precompute.build.build import build_database
@@ -38,10 +39,10 @@ def plot_database(path):
 
 
 WRITERS = {
-    "image.exr": lambda path: exr.write_image(path, np.ones((*SHAPE, 4))),
+    "image.exr": lambda path: images.write_image(path, np.ones((*SHAPE, 4))),
     "frame.exr": write_frame,
     "deep.exr": write_deep,
-    "picture.png": lambda path: exr.write_png(path, np.ones((*SHAPE, 3))),
+    "picture.png": lambda path: images.write_png(path, np.ones((*SHAPE, 3))),
     "samples.exr": lambda path: write_samples(path, samples()),
     "samples.tlfr": lambda path: write_tlfr(path, samples(), camera=CAMERA),
     "plot.png": plot_database,

@@ -238,5 +238,5 @@ def test_from_layers_refuses_no_layers_other_things_and_other_shapes():
         Frame.from_layers([])
     with pytest.raises(InvalidFrameError, match="layer 1 is a str"):
         Frame.from_layers([frame, "x"])
-    with pytest.raises(InvalidFrameError, match=r"layer 1 has shape \(2, 2\), layer 0 has \(4, 6\)"):
+    with pytest.raises(InvalidFrameError, match=r"layer 1 is displayed as 2 x 2 px at \(0, 0\), layer 0 as 6 x 4 px"):
         Frame.from_layers([frame, (np.ones((2, 2, 3)), np.ones((2, 2)))])

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 from spreadlets.cli.main import cli
 from spreadlets.errors import InvalidParameterError
-from spreadlets.files.exr_frames import write_frame, write_image
+from spreadlets.files.exr_frames import write_frame
+from spreadlets.files.images import write_image
 from spreadlets.reports.bench import bench, contenders
 from spreadlets.reports.bench.bench import Notebook, run_bench, summary, verdicts
 from spreadlets.reports.bench.contenders import Contender, missing_for
