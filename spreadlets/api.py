@@ -143,8 +143,8 @@ def synthesize(
 
     chosen = Options.of(**options)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
+    camera = camera.fitted(layered.raster.display.shape, layered.raster.pixel_aspect)
     _warn(frame_doubts(layered, camera))
-    camera = camera.fitted(layered.shape)
     moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
         image, figures = render.synthesize(layered, camera, opened, chosen, clock, *_psfs(opened, chosen))
@@ -383,7 +383,7 @@ def build_database(
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
     if frames and camera is not None:
-        camera = camera.fitted(frames[0].shape)
+        camera = camera.fitted(frames[0].raster.display.shape, frames[0].raster.pixel_aspect)
     extend = bool(options.get("extend"))
     if camera is not None and "camera" in option_names(name) and not extend:
         options["camera"] = camera

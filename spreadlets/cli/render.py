@@ -210,9 +210,6 @@ def _sequence(
 
     with progress_bar(os.path.basename(output), quiet=as_json) as progress:
         report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
-    for entry in report["frames"]:
-        if "error" in entry:
-            click.echo(f"error: frame {entry['frame']}: {' '.join(entry['error'].split())}", err=True)
     if not as_json:
         report["frames"] = {entry["output"]: _outcome(entry) for entry in report["frames"]}
     if report["failed"]:

@@ -95,7 +95,8 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
     problems = list(dict.fromkeys([*(text for piece in layers for text in piece.problems), *problems]))
     warnings = list(dict.fromkeys([*said, *(text for piece in layers for text in piece.doubts)]))
     if options.camera is not None:
-        fitted = options.camera.fitted((height, width))
+        aspect = layers[0][1].parts[0].pixel_aspect if layers[0][1].parts else 1.0
+        fitted = options.camera.fitted((height, width), aspect)
         report["camera"] = {field.name: getattr(fitted, field.name) for field in fields(fitted)}
         if frame is not None:
             warnings += frame_doubts(frame, options.camera)
