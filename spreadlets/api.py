@@ -143,8 +143,8 @@ def synthesize(
 
     chosen = Options.of(**options)
     layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
-    _warn(frame_doubts(layered, camera))
     camera = camera.fitted(layered.raster.display.shape, layered.raster.pixel_aspect)
+    _warn(frame_doubts(layered, camera))
     moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
     with _opened(database, moving) as opened:
         image, figures = render.synthesize(layered, camera, opened, chosen, clock, *_psfs(opened, chosen))

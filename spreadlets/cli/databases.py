@@ -77,10 +77,10 @@ def build(
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.psf.database import open_database
 
-    log = [options["log"]] if options["log"] else []
-    reads = [*frame_paths, *filter(None, (camera, options["lens"], options["image"]))]
-    check_outputs([output, *log], reads)
     reading, lens = take_reading(options), take_camera(options)
+    log = [options["log"]] if options["log"] else []
+    passes = [value for name, value in reading.items() if name.endswith("_file")]
+    check_outputs([output, *log], [*frame_paths, *passes, *filter(None, (camera, options["lens"], options["image"]))])
     if frame_paths or camera or lens:
         options["camera"] = camera_of(camera, lens, frame_paths[0] if frame_paths else None)
     if frame_paths:
@@ -126,7 +126,8 @@ def info(
             raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
         print_figures(_frame_info(target, camera, options), as_json)
         return
-    if os.path.isdir(target) or os.path.splitext(target)[1].lower() not in ("", *_DATABASE_SUFFIXES):
+    named_so = os.path.splitext(target)[1].lower() in ("", *_DATABASE_SUFFIXES)
+    if os.path.isdir(target) or not (named_so or is_database_file(target)):
         raise click.UsageError(_no_frame(target))
     given = [name for name in ("camera", *options) if context.get_parameter_source(name) is not _DEFAULT]
     if given:
@@ -148,6 +149,17 @@ def _no_frame(path: str) -> str:
 
     kind = other_kind(path) or "neither an OpenEXR file nor a database"
     return f"{path}: is {kind}; frames are OpenEXR, databases HDF5"
+
+
+def is_database_file(path: str) -> bool:
+    """Tell by content whether a file is one of HDF5, whatever its name."""
+    from spreadlets.psf.database_file import SIGNATURE
+
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(SIGNATURE)) == SIGNATURE
+    except OSError:
+        return False
 
 
 def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[str, Any]:

@@ -134,9 +134,9 @@ def synth(
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
-        others = [each for each in (camera, reference) if each]
         passes = [value for key, value in reading.items() if key.endswith("_file") and value]
-        reads = [*frames, *others, *passes, *([rendering["database"]] if rendering["database"] else [])]
+        others = [each for each in (camera, reference, *passes) if each]
+        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
@@ -173,8 +173,8 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     figures = metrics.compare(shown, truth) if truth is not None else {}
     further = {}
     if job.pass_through:
-        further = other_channels(job.frames, frame.raster, job.reading.get("colour_layer"))
-    for name, element in with_colours(job.frames, frame, job.also):
+        further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
+    for name, element in with_colours(job.frames, frame, job.also, options.view):
         further |= named_channels(name, synthesize(element, camera, **rendering, clock=clock))
     with clock.step("write"):
         images.write_image(job.output, image, raster=frame.raster, channels=further)

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -144,7 +144,15 @@ def frame_camera(path: PathLike, scene_scale: float = 1.0) -> dict[str, Any]:
         headers = read_headers(path)
     except InvalidFileError:
         return {}
-    return attribute_values(headers[0], scene_scale)
+    return _carried_values(headers, scene_scale)
+
+
+def _carried_values(headers: Sequence[Mapping[str, Any]], scene_scale: float = 1.0) -> dict[str, Any]:
+    """Return the values of a camera in the headers of a file's parts; the first part that says something counts."""
+    values: dict[str, Any] = {}
+    for header in headers:
+        values = attribute_values(header, scene_scale) | values
+    return values
 
 
 def parse_shutter(text: str) -> tuple[float, float]:
@@ -197,7 +205,7 @@ def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str,
     if name is not None:
         return _usd_values(name, prim), HALF_A_FRAME
     if _starts_with(path, EXR_MAGIC):
-        found = attribute_values(read_headers(path)[0])
+        found = _carried_values(read_headers(path))
         if not found and not given:
             raise InvalidCameraError("holds no camera attributes that are known")
         return found, HALF_A_FRAME

@@ -63,12 +63,12 @@ class Scale:
         return self.raster or Raster.of_shape((shape[0], shape[1]))
 
     def focal_length_px(self, shape: tuple[int, ...], reason: str) -> float:
-        """Return the focal length in px, or raise InvalidParameterError saying what the camera is needed for."""
+        """Return the focal length in px of an image of (height, width); without a camera raise why one is needed."""
         if self.camera is None:
             raise InvalidParameterError(f"{reason} needs the camera ({option('camera')})")
-        display = self.raster_of(shape).display
-        camera = self.camera.fitted(display.shape)
-        return camera.focal_length_mm / camera.sensor_width_mm * display.width
+        raster = self.raster_of(shape)
+        camera = self.camera.fitted(raster.display.shape, raster.pixel_aspect)
+        return camera.focal_length_mm / camera.sensor_width_mm * raster.display.width
 
     def baseline(self) -> float:
         """Return the baseline in metres, or raise InvalidParameterError."""

@@ -5,6 +5,7 @@ What the channels mean is told by the tables of `spreadlets.files.conventions`.
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import warnings
@@ -39,7 +40,6 @@ from spreadlets.files.deep import DeepImage, deep_image
 from spreadlets.files.exr_chunks import read_deep_part
 from spreadlets.files.exr_parts import (
     Image,
-    Part,
     Plane,
     check_headers,
     check_same_window,
@@ -49,6 +49,7 @@ from spreadlets.files.exr_parts import (
     library_messages,
     merged,
     part_header,
+    part_of,
     read_headers,
     read_parts,
     window,
@@ -129,7 +130,7 @@ def read_frame(
     headers = [read_headers(path) for path in files]
     passes = read_passes(chosen)
     if files and all(any(map(is_deep, each)) for each in headers):
-        return _merged_deep(files, headers, chosen)
+        return _with_room(_merged_deep(files, headers, chosen))
     layers: list[Frame] = []
     for path, each in zip(files, headers, strict=True):
         if any(map(is_deep, each)):
@@ -178,7 +179,7 @@ def read_image(path: PathLike, *, options: ReadOptions | None = None, **keywords
     view, layer = chosen.view, chosen.colour_layer
     if view is None and isinstance(layer, str) and layer in image.views:
         view, chosen = layer, replace(chosen, colour_layer=None)
-    return _radiance(find_colour(image.of_view(view), chosen), chosen.unpremultiplied, image.display)
+    return _radiance(find_colour(image.of_view(view), chosen), chosen.unpremultiplied)
 
 
 def read_reference(path: PathLike, options: ReadOptions) -> FloatArray:
@@ -320,37 +321,44 @@ def deep_header(
     header = headers[index]
     data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
     planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
-    part = Part("", {**header, "multiView": ()}, planes, carried_attributes(path)[index])
+    part = replace(part_of({**header, "multiView": ()}, planes, carried_attributes(path)[index]), name="")
     return index, merged(path, [part])
 
 
 def _merged_deep(
     files: Sequence[PathLike], headers: Sequence[Sequence[Mapping[str, Any]]], options: ReadOptions
 ) -> Frame:
-    """Return the depth layers of deep files, which show one scene."""
-    read = [_read_deep(path, each, options) for path, each in zip(files, headers, strict=True)]
+    """Return the depth layers of deep files, which show one scene, in a window that holds all of theirs."""
+    parts = [deep_header(path, each, options) for path, each in zip(files, headers, strict=True)]
+    found = [recognise_deep(image, options) for _, image in parts]
+    rasters = [each.colour.image.raster(each.colour.channels[0]) for each in found]
+    for path, raster in zip(files, rasters, strict=True):
+        if (raster.display, raster.pixel_aspect) != (rasters[0].display, rasters[0].pixel_aspect):
+            raise InvalidFileError(f"{path}: is displayed otherwise than {files[0]}; deep files of one scene agree")
+    stored = functools.reduce(Window.union, (raster.data for raster in rasters))
+    shared = replace(rasters[0], data=stored).reaching(stored.union(rasters[0].display))
+    images = [_read_deep(index, each, shared, options) for (index, _), each in zip(parts, found, strict=True)]
     try:
-        return DeepImage.merged([image for image, _ in read]).layers(options.max_layers).lying_at(read[0][1])
+        return DeepImage.merged(images).layers(options.max_layers).lying_at(shared)
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{', '.join(str(path) for path in files)}: {error}") from None
 
 
-def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions) -> tuple[DeepImage, Raster]:
-    """Return the samples of a deep file, and where its pixels lie."""
-    index, image = deep_header(path, headers, options)
-    found = recognise_deep(image, options)
+def _read_deep(index: int, found: Recognised, raster: Raster, options: ReadOptions) -> DeepImage:
+    """Return the samples of a deep part of a file, in the data window of a raster."""
+    image = found.colour.image
+    path = image.path
     names = {"colour": found.colour.channels, "alpha": found.colour.alpha, "depth": found.depth.channels}
     names |= {"motion": found.motion.channels} if found.motion else {}
     _warn(image, found)
-    part, raster = read_deep_part(path, index), image.raster(found.colour.channels[0])
-    if part.counts.shape != raster.data.shape:
+    part, data = read_deep_part(path, index), image.planes[found.colour.channels[0]].window
+    if part.counts.shape != data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
-    raster = raster.reaching(raster.data.union(raster.display))
     scale, shape = replace(options.scale, raster=raster), raster.data.shape
     try:
         samples, dropped = deep_image(
             part,
-            image.planes[found.colour.channels[0]].window,
+            data,
             raster.data,
             names,
             to_planar=lambda values, pixel: _planar_samples(found.depth, values, pixel, shape, options, scale),
@@ -362,8 +370,8 @@ def _read_deep(path: PathLike, headers: Sequence[Mapping[str, Any]], options: Re
         raise type(error)(f"{path}: {error}") from None
     if dropped:
         text = f"{path}: {dropped} invalid deep samples were mended, or dropped where the colour is invalid"
-        warnings.warn(text, stacklevel=4)
-    return samples, raster
+        warnings.warn(text, stacklevel=5)
+    return samples
 
 
 def recognise_deep(image: Image, options: ReadOptions) -> Recognised:
@@ -405,22 +413,20 @@ def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     radiance = _radiance(found.colour, options.unpremultiplied, raster.data)
     _warn(image, found)
     try:
-        stored = _label("depth", found.depth, raster, 1.0)[..., 0]
-        alpha = radiance[..., 3] if radiance.shape[2] == 4 else None
-        nothing = np.zeros(stored.shape, np.bool_)
+        stored = _label("depth", found.depth, found.colour.image, raster.data, 1.0)[..., 0]
+        nothing = ~covered(found.depth.image, found.depth.channels[0], raster.data)
         if options.background_depth is not None:
-            nothing = background_places(options.background_depth, stored)
-        seen = ~nothing if alpha is None else ~nothing & (alpha > 0)
+            nothing |= background_places(options.background_depth, stored)
+        seen = ~nothing if radiance.shape[2] == 3 else ~nothing & (radiance[..., 3] > 0)
         planar_told = options.preset is not None and found.depth.convention == "planar"
         told = options.depth_convention is not None or planar_told
         if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, seen, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
-        planar = planar_depth(found.depth.convention, stored, scale)
-        nothing |= ~covered(found.depth.image, found.depth.channels[0], raster.data)
-        planar = np.where(nothing, BACKGROUND_DEPTH, planar)
+        planar = np.where(nothing, BACKGROUND_DEPTH, planar_depth(found.depth.convention, stored, scale))
         labels = {}
         if found.motion is not None:
-            labels = motion_labels(found.motion.convention, _label("motion", found.motion, raster), planar, scale)
+            channels = _label("motion", found.motion, found.colour.image, raster.data)
+            labels = motion_labels(found.motion.convention, channels, planar, scale)
         return Frame(radiance, planar, **labels, raster=raster, repair=options.repair)
     except InvalidFrameError as error:
         raise InvalidFrameError(f"{image.path}: {error}{_background_advice(error)}") from None
@@ -435,13 +441,18 @@ def _background_advice(error: InvalidFrameError) -> str:
     return f"; if it stands for the background, say so with {option('background_depth')}: a number, nan, <X or >X"
 
 
-def _label(what: str, found: Found, raster: Raster, fill: float = 0.0) -> FloatArray:
-    """Return a label's channels, (H, W, n), where the colours lie; filled where they have no pixel."""
+def _label(what: str, found: Found, picture: Image, target: Window, fill: float = 0.0) -> FloatArray:
+    """Return a label's channels in a window, (H, W, n); one in a file of its own has the picture's size."""
     check_same_window(found.image, found.channels)
-    if found.image.display.shape != raster.display.shape:
-        there, wanted = (f"{each.width} x {each.height} px" for each in (found.image.display, raster.display))
-        raise InvalidFrameError(f"the {what} in {found.image.path} has {there}, the colours have {wanted}")
-    return gather(found.image, found.channels, raster.data, fill)
+    _check_size(what, found.image, picture)
+    return gather(found.image, found.channels, target, fill)
+
+
+def _check_size(what: str, image: Image, picture: Image) -> None:
+    """Raise InvalidFileError unless a pass in a file of its own is displayed in a window of the picture's size."""
+    if image.display.shape != picture.display.shape:
+        there, wanted = (f"{each.display.width} x {each.display.height} px" for each in (image, picture))
+        raise InvalidFileError(f"the {what} in {image.path} has {there}, the colours have {wanted}")
 
 
 def _warn(image: Image, found: Recognised) -> None:
@@ -450,21 +461,20 @@ def _warn(image: Image, found: Recognised) -> None:
         warnings.warn(f"{image.path}: {doubt}", AmbiguousInputWarning, stacklevel=4)
 
 
-def _radiance(colour: Colour, unpremultiplied: bool, target: Window) -> FloatArray:
-    """Return the colours in a window; opaque ones get an alpha where their data window does not fill it."""
+def _radiance(colour: Colour, unpremultiplied: bool, target: Window | None = None) -> FloatArray:
+    """Return the colours in a window, by default the display's; opaque ones get an alpha where they do not fill it."""
     image, alpha_image = colour.image, colour.alpha_image
-    check_same_window(image, colour.channels if alpha_image is not image else colour.names)
+    target = image.display if target is None else target
+    check_same_window(image, colour.channels)
     colours = gather(image, colour.channels, target)
     if colour.alpha:
         check_same_window(alpha_image, colour.alpha)
-        if alpha_image.display.shape != image.display.shape:
-            there, wanted = (f"{each.display.width} x {each.display.height} px" for each in (alpha_image, image))
-            raise InvalidFileError(f"{image.path}: alpha in {alpha_image.path} has {there}, the colours have {wanted}")
+        _check_size("alpha", alpha_image, image)
         alpha = gather(alpha_image, colour.alpha, target).mean(axis=2, keepdims=True)
-    elif (reached := covered(image, colour.channels[0], target)).all():
-        return colours
+    elif image.planes[colour.channels[0]].window != target:
+        alpha = covered(image, colour.channels[0], target).astype(np.float32)[..., None]
     else:
-        alpha = reached[..., None].astype(np.float32)
+        return colours
     return np.concatenate([colours * alpha if unpremultiplied else colours, alpha], axis=2)
 
 

@@ -114,7 +114,7 @@ class Part:
 
     @property
     def pixel_aspect(self) -> float:
-        """Width over height of a pixel."""
+        """Width of a pixel over its height, as displayed."""
         return float(self.header.get("pixelAspectRatio", 1.0))
 
 
@@ -139,14 +139,14 @@ class Image:
     path: PathLike
     planes: Mapping[str, Plane]
     display: Window
+    parts: Sequence[Part] = ()
     names: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
-    parts: Sequence[Part] = ()
 
     def raster(self, name: str) -> Raster:
         """Return where a channel's pixels lie, and what the header of its part says besides."""
         plane = self.planes[name]
-        if plane.part >= len(self.parts):
+        if not self.parts:
             return Raster(plane.window, self.display)
         part = self.parts[plane.part]
         return Raster(plane.window, self.display, part.pixel_aspect, attributes=part.attributes)
@@ -204,7 +204,7 @@ def merged(path: PathLike, parts: Sequence[Part]) -> Image:
         for name, plane in part.planes.items():
             full, placed = _placed(name, plane, part, index, named, alone=len(parts) == 1)
             planes[full if full not in planes else f"part{index}.{name}"] = placed
-    return Image(path, planes, parts[0].display, tuple(planes), tuple(views), tuple(parts))
+    return Image(path, planes, parts[0].display, parts, tuple(planes), tuple(views))
 
 
 def _placed(name: str, plane: Plane, part: Part, index: int, views: Sequence[str], *, alone: bool) -> tuple[str, Plane]:

@@ -18,7 +18,9 @@ from spreadlets.scene.raster import Raster, placed
 MAIN = ("R", "G", "B", "A")
 
 
-def with_colours(paths: Sequence[PathLike], frame: Frame, names: Sequence[str]) -> Iterator[tuple[str, Frame]]:
+def with_colours(
+    paths: Sequence[PathLike], frame: Frame, names: Sequence[str], view: str | None = None
+) -> Iterator[tuple[str, Frame]]:
     """Yield a frame with the colours of each named layer of its file, and its own alpha and labels.
 
     Parameters
@@ -29,6 +31,8 @@ def with_colours(paths: Sequence[PathLike], frame: Frame, names: Sequence[str]) 
         As it was read from there.
     names : sequence of str
         Prefixes of the colour channels.
+    view : str, optional
+        As the frame was read.
 
     Raises
     ------
@@ -37,7 +41,7 @@ def with_colours(paths: Sequence[PathLike], frame: Frame, names: Sequence[str]) 
     """
     if not names:
         return
-    image = _only_image(paths)
+    image = _only_image(paths, view)
     for name in names:
         colour = find_colour(image, ReadOptions(colour_layer=name)).channels
         check_same_window(image, colour)
@@ -51,7 +55,7 @@ def named_channels(name: str, blurred: FloatArray) -> dict[str, FloatArray]:
 
 
 def other_channels(
-    paths: Sequence[PathLike], raster: Raster, colour_layer: str | None = None
+    paths: Sequence[PathLike], raster: Raster, colour_layer: str | Sequence[str] | None = None, view: str | None = None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return all channels of a frame's file but its colours, as they are stored.
 
@@ -61,7 +65,7 @@ def other_channels(
         The file of the frame.
     raster : Raster
         Where the frame's pixels lie; channels are 0 where they have none.
-    colour_layer : str, optional
+    colour_layer, view : optional
         As the frame was read.
 
     Raises
@@ -69,7 +73,7 @@ def other_channels(
     InvalidFileError
         If the frame is none of one flat file, or a channel is subsampled.
     """
-    image = _only_image(paths)
+    image = _only_image(paths, view)
     left_out = {*find_colour(image, ReadOptions(colour_layer=colour_layer)).names, *MAIN}
     others: Mapping[str, Any] = {name: plane for name, plane in image.planes.items() if name not in left_out}
     for name in others:
@@ -77,8 +81,8 @@ def other_channels(
     return {name: placed(plane.pixels, plane.window, raster.data) for name, plane in others.items()}
 
 
-def _only_image(paths: Sequence[PathLike]) -> Image:
+def _only_image(paths: Sequence[PathLike], view: str | None) -> Image:
     """Return all channels of the file, if there is one and it is flat."""
     if len(paths) > 1 or any(is_deep(header) for header in read_headers(paths[0])):
         raise InvalidFileError(f"{paths[0]}: further channels are taken from one flat file, not from layers")
-    return merged(paths[0], read_parts(paths[0])).of_view(None)
+    return merged(paths[0], read_parts(paths[0])).of_view(view)

@@ -95,7 +95,9 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
     problems = list(dict.fromkeys([*(text for piece in layers for text in piece.problems), *problems]))
     warnings = list(dict.fromkeys([*said, *(text for piece in layers for text in piece.doubts)]))
     if options.camera is not None:
-        fitted = options.camera.fitted((height, width))
+        parts_read = layers[0].image.parts
+        aspect = parts_read[0].pixel_aspect if parts_read else 1.0
+        fitted = options.camera.fitted((height, width), aspect)
         report["camera"] = {field.name: getattr(fitted, field.name) for field in fields(fitted)}
         if frame is not None:
             warnings += frame_doubts(frame, options.camera)

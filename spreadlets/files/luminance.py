@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,12 +10,32 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray
+from spreadlets.files.attributes import chromaticities
 from spreadlets.files.exr_parts import Image, Plane
 
 NAMES = ("Y", "RY", "BY")
 
-LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
-"""Of R, G and B in Y: Rec. 709's, which OpenEXR takes where the file does not say."""
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities x, y of red, green, blue and white, which OpenEXR takes where the file does not say."""
+
+
+def luminance_weights(xy: Sequence[float]) -> FloatArray:
+    """Return the share of red, green and blue in the luminance, (3,).
+
+    Parameters
+    ----------
+    xy : sequence of 8 floats
+        Chromaticities x, y of red, green, blue and white.
+
+    Examples
+    --------
+    >>> luminance_weights(REC_709).round(3).tolist()
+    [0.2129999..., 0.715..., 0.0719999...]
+    """
+    x, y = np.reshape(np.asarray(xy, np.float64), (4, 2)).T
+    xyz = np.stack([x, y, 1 - x - y])  # each up to a factor
+    factors = np.linalg.solve(xyz[:, :3], xyz[:, 3] / y[3])
+    return np.asarray(factors * xyz[1, :3], np.float32)
 
 
 def with_rgb(image: Image) -> Image:
@@ -40,7 +61,8 @@ def with_rgb(image: Image) -> Image:
         return image
     luminance = np.asarray(y.pixels, np.float32)
     red, blue = ((_spread(chroma, luminance.shape) + 1) * luminance for chroma in (ry, by))
-    weights = np.array(LUMINANCE_WEIGHTS, np.float32)
+    own = chromaticities(image.parts[y.part].attributes) if image.parts else None
+    weights = luminance_weights(own or REC_709)
     green = (luminance - weights[0] * red - weights[2] * blue) / weights[1]
     planes = {name: plane for name, plane in image.planes.items() if name not in NAMES}
     for name, pixels in zip("RGB", (red, green, blue), strict=True):

@@ -355,9 +355,9 @@ def _chosen_colour(image: Image, groups: list[tuple[str, tuple[str, ...]]]) -> t
         return (*composite[0], "")
     groups = sorted(groups, key=lambda found: list(image.planes).index(found[1][0]))
     if all(_parent(image.place(group[0]).lower()).endswith(VIEW_LAYER) for _, group in groups):
-        names = [group[0].rpartition(".")[0] for _, group in groups]
+        held = ", ".join(group[0].rpartition(".")[0] for _, group in groups)
         doubt = (
-            f"the file holds the view layers {', '.join(names)}; the first is taken: say {option('colour_layer')} for "
+            f"the file holds the view layers {held}; the first is taken: say {option('colour_layer')} for "
             "another, or for several as depth layers, nearest first"
         )
         return (*groups[0], doubt)

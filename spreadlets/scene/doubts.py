@@ -67,7 +67,7 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
     list of str
     """
     found = camera_doubts(camera.fitted(frame.raster.display.shape, frame.raster.pixel_aspect))
-    height, width = frame.shape
+    height, width = frame.raster.display.shape
     sensor_height = camera.sensor_height_mm
     if camera.sensor_fit == "horizontal" and sensor_height is not None and sensor_height != camera.sensor_width_mm:
         if (height > width) != (sensor_height > camera.sensor_width_mm) and height != width:

@@ -84,8 +84,8 @@ class Frame:
     Raises
     ------
     InvalidFrameError
-        If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has non-finite
-        radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
+        If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has
+        non-finite radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
         <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row, col), how
         many there are, and what is allowed.
 
@@ -162,16 +162,14 @@ class Frame:
         stored = functools.reduce(Window.union, (frame.raster.stored or frame.raster.data for frame in frames))
         shared = replace(first, data=window, stored=None if stored == window else stored)
         placed_layers = [_placed_layer(layer, shared) for frame in frames for layer in frame.layers]
-        dropped, repaired = (sum(getattr(f, name) for f in frames) for name in ("dropped_pixels", "repaired_pixels"))
+        repaired, dropped = (
+            sum(getattr(frame, name) for frame in frames) for name in ("repaired_pixels", "dropped_pixels")
+        )
         return cls.of(placed_layers, dropped, repaired)
 
     def reaching(self, window: Window) -> Frame:
         """Return the frame with empty pixels around it, in a data window that holds its own."""
-        return Frame.of(
-            [_placed_layer(layer, self.raster.reaching(window)) for layer in self.layers],
-            self.dropped_pixels,
-            self.repaired_pixels,
-        )
+        return self._of([_placed_layer(layer, self.raster.reaching(window)) for layer in self.layers])
 
     def lying_at(self, raster: Raster) -> Frame:
         """Return the frame's pixels elsewhere: in a data window of the same shape, or otherwise displayed.
@@ -182,17 +180,11 @@ class Frame:
             If the data window has another shape.
         """
         _check_raster(raster, self.shape)
-        return Frame.of(
-            [replace(layer, raster=raster) for layer in self.layers], self.dropped_pixels, self.repaired_pixels
-        )
+        return self._of([replace(layer, raster=raster) for layer in self.layers])
 
     def coloured(self, radiance: FloatArray) -> Frame:
         """Return the frame with another radiance (H, W, 4) in its only layer."""
-        return Frame.of(
-            [replace(self._only_layer(), radiance=image_array("radiance", radiance))],
-            self.dropped_pixels,
-            self.repaired_pixels,
-        )
+        return self._of([replace(self._only_layer(), radiance=image_array("radiance", radiance))])
 
     @classmethod
     def of(cls, layers: Sequence[Layer], dropped_pixels: int = 0, repaired_pixels: int = 0) -> Frame:
@@ -200,6 +192,10 @@ class Frame:
         made = cls.__new__(cls)
         made._layers, made._dropped_pixels, made._repaired_pixels = tuple(layers), dropped_pixels, repaired_pixels
         return made
+
+    def _of(self, layers: Sequence[Layer]) -> Frame:
+        """Return a frame of layers that were made of this one's."""
+        return Frame.of(layers, self.dropped_pixels, self.repaired_pixels)
 
     @property
     def raster(self) -> Raster:

@@ -18,7 +18,7 @@ def test_luminance_and_chroma_become_colours():
         "BY": Plane((0.2 - ramp)[::2, ::2], window, (2, 2)),
         "Z": Plane(y, window, (1, 1)),
     }
-    image = with_rgb(Image("f.exr", planes, window, tuple(planes)))
+    image = with_rgb(Image("f.exr", planes, window, names=tuple(planes)))
     assert image.names == ("Z", "R", "G", "B")
     found = np.stack([image.planes[name].pixels for name in "RGB"], 2)
     np.testing.assert_allclose(found[:, :-1], np.stack([red, green, blue], 2)[:, :-1], rtol=1e-5)
@@ -26,5 +26,5 @@ def test_luminance_and_chroma_become_colours():
 
 def test_other_images_are_left_alone():
     window = Window(0, 0, 2, 2)
-    image = Image("f.exr", {"Y": Plane(np.ones((2, 2)), window, (1, 1))}, window, ("Y",))
+    image = Image("f.exr", {"Y": Plane(np.ones((2, 2)), window, (1, 1))}, window, names=("Y",))
     assert with_rgb(image) is image

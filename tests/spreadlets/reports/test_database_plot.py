@@ -117,4 +117,4 @@ def test_info_draws_on_request(small_combined_path, tmp_path, monkeypatch, capsy
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == cli.EXIT_BAD_INPUT
-    assert capsys.readouterr().err.startswith("error: the plot")
+    assert "missing/quality.png: cannot be written: there is no folder" in capsys.readouterr().err
