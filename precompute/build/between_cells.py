@@ -15,9 +15,9 @@ from spreadlets.arrays import DoubleArray
 from spreadlets.metrics import psf_similarity
 from spreadlets.parallel import for_each
 from spreadlets.precompute.models.registry import exact_psf, trace_psf
+from spreadlets.psf.exact import rounded
 from spreadlets.psf.model import PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan.highlights import rounded
 
 N_COORDINATES = 1000
 N_TRACED = 64

@@ -12,8 +12,6 @@ NOT_ALONE = -1
 HEADING_BITS = 17
 HEADING_ZERO = 1 << (HEADING_BITS - 1)
 """Bits of a code for each of a heading's two steps; where 0 lies."""
-THIN_RADIUS = 4.0
-"""CoC radius, px, below which headings are rounded to finer steps."""
 EDGE_WIDTH = 3
 """How wide the edge of a lamp may be, px: filters of renderers reach about so far."""
 COLUMNS = 64
@@ -52,12 +50,6 @@ def sums_along_rows(begin, end, plane, half, sums):
                 if col > reach:
                     total -= plane[row, col - reach - 1]
                 sums[k, row, col] = total
-
-
-@kernel
-def heading_step(radius, step):
-    """Return the step of a heading, px, for a CoC radius: half as long where the PSF is so thin that its ends show."""
-    return 0.5 * step if radius < THIN_RADIUS else step
 
 
 @helper
@@ -181,14 +173,14 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
     steps : tuple
         Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; longest step of the
         heading, px;
-        whether the sides of the focus differ.
+        CoC radius below which it is half as long; whether the sides of the focus differ.
     limits : tuple of two floats
         Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
     code : ndarray of shape (H, W), int64
         Filled; `NOT_ALONE` where the pixel is no highlight.
     """
     coc, length, heading = labels
-    radius_steps, longest_step, sided = steps
+    radius_steps, longest_step, thin_radius, sided = steps
     for row in range(begin, end):
         for col in range(key.shape[1]):
             code[row, col] = NOT_ALONE
@@ -199,7 +191,7 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
             if excess[row, col] <= limits[0] * area or area > limits[1]:
                 continue
             n_steps = np.int64(radius_steps * math.sqrt(radius) + 0.5)
-            step_px = heading_step((n_steps / radius_steps) ** 2, longest_step)
+            step_px = 0.5 * longest_step if (n_steps / radius_steps) ** 2 < thin_radius else longest_step
             packed = 2 * n_steps
             if sided and coc[row, col] < 0.0:
                 packed += 1

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, DoubleArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
-from spreadlets.psf.exact import ExactPsf
+from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading_steps, longest_step
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.runtime.label.labels import DIRECTIONS
@@ -43,12 +43,6 @@ LEAST_KNOWN = 0.25
 LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
 """Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
 of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
-RADIUS_STEPS = 48.0
-"""CoC radii are rounded to steps of ``2 sqrt(r) / 48``, with which cells grow, too: by 1 % at 4 px, 1/6 px at 64 px."""
-PATH_STEP_PX = 1.0
-"""Paths are rounded to whole pixels; their ends are off by a quarter of one in the mean."""
-PLACES_ACROSS = 128
-"""Places across the image that tell one PSF of a lens from the next."""
 LARGEST_AREA = 1 << 18
 """Largest PSF that is drawn in full, px; a lamp that is spread over more has no rim to see."""
 
@@ -136,36 +130,6 @@ def find_highlights(
     view = passes[0].labels.view
     coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
     return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
-
-
-def rounded(
-    coordinate: DoubleArray, direction: DoubleArray, side: IntArray, model: PsfModel
-) -> tuple[DoubleArray, DoubleArray, IntArray]:
-    """Return coordinates, directions and sides as the PSFs of highlights have them.
-
-    Parameters
-    ----------
-    coordinate : ndarray of shape (n, n_axes), float64
-        In the units of the model's axes, the first of which is the CoC radius.
-    direction : ndarray of shape (n,), float64
-        Radians.
-    side : ndarray of shape (n,), int64
-        1 behind the focus, -1 in front of it.
-    model : PsfModel
-    """
-    view = model.settings.get("view", {"width_px": 1, "sensor_width_mm": 1.0})
-    mm_per_px = view["sensor_width_mm"] / view["width_px"]
-    heading = np.zeros((1, len(coordinate), 2), np.float32)
-    if model.has_direction:
-        size = coordinate[:, -1] / (1.0 if model.has_motion else mm_per_px)
-        heading[0] = (size * np.stack([np.cos(direction), np.sin(direction)])).T
-    coc = (side * coordinate[:, 0]).astype(np.float32)[None]
-    steps = RADIUS_STEPS, _longest_step(model, view["width_px"]), model.symmetry.sign != "ignored"
-    code = np.empty(coc.shape, np.int64)
-    every = np.ones(coc.shape, np.int64), np.full(coc.shape, np.inf, np.float32)
-    shape = coc, np.zeros_like(coc), heading
-    _highlight_kernels.highlight_codes(0, 1, *every, shape, steps, (0.0, np.inf), code)
-    return _coordinates(code[0], model, view["width_px"], mm_per_px)
 
 
 def _dimmed(pixels: Pixels, is_highlight: BoolArray) -> Pixels:
@@ -308,16 +272,11 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -
     length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
     heading = DIRECTIONS[model.symmetry.angle](labels) if model.has_direction else nothing
     heading = np.broadcast_to(heading, (*key.shape, 2))
-    steps = RADIUS_STEPS, _longest_step(model, key.shape[1]), model.symmetry.sign != "ignored"
+    steps = RADIUS_STEPS, longest_step(model, key.shape[1]), THIN_RADIUS_PX, model.symmetry.sign != "ignored"
     shape = labels.coc, length, heading
     limits = LEAST_CHANGE, float(LARGEST_AREA)
     for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, shape, steps, limits, code)
     return code
-
-
-def _longest_step(model: PsfModel, width: int) -> float:
-    """Return the longest step of a heading, px: of a path, or of the place on an image of a width."""
-    return PATH_STEP_PX if model.symmetry.angle == "motion" else max(1.0, width / PLACES_ACROSS)
 
 
 def _numbered(codes: Sequence[IntArray]) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
@@ -340,7 +299,7 @@ def _coordinates(
     """Return the coordinates (n, n_axes), directions (n,) and sides (n,) that codes stand for."""
     rest, mask = codes >> 2 * HEADING_BITS, (1 << HEADING_BITS) - 1
     radius = ((rest >> 1) / RADIUS_STEPS) ** 2
-    step = np.array([_highlight_kernels.heading_step(each, _longest_step(model, width)) for each in radius])
+    step = heading_steps(radius, longest_step(model, width))
     x, y = (((codes >> bits & mask) - HEADING_ZERO) * step for bits in (HEADING_BITS, 0))
     heading = np.hypot(x, y)
     known = {"coc": radius, "depth": radius, "motion": heading, "eccentricity": heading * mm_per_px}

@@ -5,9 +5,9 @@ import pytest
 from reference import disc_coverage
 
 from spreadlets.precompute.build import between_cells
+from spreadlets.psf import exact
 from spreadlets.psf.database import open_database
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan import highlights
 
 LEAST = {  # highlights: mean and worst hundredth; dim pixels: mean
     "simplelens": (0.997, 0.99, 0.96),
@@ -38,7 +38,7 @@ def test_highlights_of_shipped_databases_are_exact_and_dim_pixels_near(name, mon
 
 
 def test_coarse_steps_are_seen(monkeypatch):
-    monkeypatch.setattr(highlights, "RADIUS_STEPS", 4.0)
+    monkeypatch.setattr(exact, "RADIUS_STEPS", 4.0)
     found = figures("simplelens", 60, monkeypatch)
     assert found["highlight"]["mean"] < 0.98 and found["highlight"]["radius_error"] > 0.01
 
