@@ -85,9 +85,9 @@ class Frame:
     ------
     InvalidFrameError
         If shapes are wrong or disagree, if the radiance is in 8- or 16-bit codes or, unless `repair`, if a pixel has
-        non-finite radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is NaN or
-        <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row, col), how
-        many there are, and what is allowed.
+        non-finite radiance or alpha outside [0, 1] by more than `ALPHA_OVERSHOOT`, or has alpha > 0 and a depth that is
+        NaN or <= 0 or motion that is not finite. The message names the array, the first offending pixel as (row,
+        col), how many there are, and what is allowed.
 
     Warns
     -----

@@ -137,6 +137,7 @@ def test_spreadlets_agree_with_the_same_psfs_in_full(request, name, low, high):
     assert ssim(sparse[..., :3], dense[..., :3]) > 0.99
 
 
+@pytest.mark.filterwarnings("ignore:the focus is at")
 def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog):
     frame = Frame(noise_frame(0, 0).radiance[..., :3], np.full((SIZE, SIZE), 3.0, np.float32))
     near = Frame(frame.radiance[..., :3], np.full((SIZE, SIZE), 0.05, np.float32))
