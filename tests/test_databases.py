@@ -161,7 +161,9 @@ def test_databases_that_ship_can_be_extended(path, tmp_path):
     with open_database(path) as database:
         build_database(database.grid.model.name, copy, extend=True, jobs=1, progress=lambda *each: made.append(each))
         with open_database(copy) as extended:
-            assert not any(total for _, total, *_ in made) and np.array_equal(extended.point_start, database.point_start)
+            assert not any(total for _, total, *_ in made) and np.array_equal(
+                extended.point_start, database.point_start
+            )
 
 
 def test_the_databases_that_ship_are_small():
