@@ -1,6 +1,6 @@
 """Deep images as depth layers: cut where surfaces part, by rank, and the layers as they were rendered.
 
-The rendered depth layers of coins and fence (``--frames``, default ../shared/frames; skips cleanly where they are
+The rendered depth layers of coins and fence (``--frames``, default frames; skips cleanly where they are
 missing) are stored as one deep image each and read again. SSIM is against the renderer's own depth of field and motion
 blur. Writes deep_layers.txt to benchmarks/results.
 
@@ -40,7 +40,7 @@ def by_rank(layers: list[sp.Frame]) -> sp.Frame:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--frames", type=Path, default=Path("frames"))
     parser.add_argument("--db", default="combined")
     arguments = parser.parse_args()
     if not (arguments.frames / "coins_layer0.exr").exists():

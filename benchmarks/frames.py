@@ -1,6 +1,6 @@
 """Synthesis on three rendered frames with ground truth: spreadlets against dense splatting of the same PSFs.
 
-Reads coins, whirl and fence (pinhole frame, camera, references) from ``--frames`` (default ../shared/frames) and skips
+Reads coins, whirl and fence (pinhole frame, camera, references) from ``--frames`` (default frames) and skips
 cleanly where they are missing. Writes frames.txt and a picture of each frame to benchmarks/results.
 
     python benchmarks/frames.py [--frames DIR] [--db combined]
@@ -52,7 +52,7 @@ def save_picture(path: Path, images: list[np.ndarray]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--frames", type=Path, default=Path("frames"))
     parser.add_argument("--db", default="combined")
     arguments = parser.parse_args()
     if not (arguments.frames / "coins_pinhole.exr").exists():

@@ -1,6 +1,6 @@
 """Pictures of every PSF model for docs/models.md: PSFs over the parameters, their points, and a frame.
 
-Reads the databases that ship, and the frame ``coins`` from ``--frames`` (default ../shared/frames), without which the
+Reads the databases that ship, and the frame ``coins`` from ``--frames`` (default frames), without which the
 pictures of frames are left out. Writes to docs/models.
 
     python benchmarks/model_pictures.py [--frames DIR]

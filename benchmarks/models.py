@@ -2,7 +2,7 @@
 
 Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. For the
 sparsity at the similarity of LKS, a mean of .97, PSFs of grids up to a CoC of 256 px, which fill the window of LKS, are
-sparsified at several prices of a point. Frames are read from ``--frames`` (default ../shared/frames) and skipped where
+sparsified at several prices of a point. Frames are read from ``--frames`` (default frames) and skipped where
 they are missing. Writes models.txt, models_sparsity.txt and models_frames.txt to benchmarks/results. The model
 ``combined`` is the subject of spreadlet_quality.py and frames.py, too.
 

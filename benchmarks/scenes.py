@@ -49,7 +49,7 @@ class Scene:
 def parser(description: str | None) -> argparse.ArgumentParser:
     """Return a parser with the option of all studies on these frames."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    made.add_argument("--frames", type=Path, default=Path("frames"))
     return made
 
 

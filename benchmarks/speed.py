@@ -4,7 +4,7 @@
 
 Synthetic frames: a picture with texture and highlights; CoC radius constant, smoothly varying, or random for each pixel
 (from half the radius to the radius), alone and with motion. Rendered frames are read from ``--frames`` (default
-../shared/frames, skipped where missing) and tiled to the size. Beyond the shipped database's range, one with just the
+frames, skipped where missing) and tiled to the size. Beyond the shipped database's range, one with just the
 cells in use is built for the run. Times are medians of interleaved rounds. Dense splatting draws the same PSFs in full,
 pixel by pixel (dense) or as differences along rows that are summed up at the end (rows); tracing them is not counted.
 Columns: seconds of the four, spreadlets without and with level of detail; dense over spreadlets without and with it
@@ -161,7 +161,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--layers", type=int, default=1, help="depth layers; 1 compares drawing alone")
-    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--frames", type=Path, default=Path("frames"))
     parser.add_argument("--only", help="rows whose name contains this")
     arguments = parser.parse_args()
     unit = unit_time()

@@ -2,7 +2,7 @@
 
     python benchmarks/tolerance.py [--frames DIR]
 
-On the rendered frames of ``--frames`` (default ../shared/frames; the sample frame of the package where missing). Errors
+On the rendered frames of ``--frames`` (default frames; the sample frame of the package where missing). Errors
 are changes of the displayed image against tolerance 0. Writes tolerance.txt and tolerance.png to benchmarks/results.
 """
 
@@ -65,7 +65,7 @@ def draw(results: dict[str, list[dict[str, float]]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, default=Path("../shared/frames"))
+    parser.add_argument("--frames", type=Path, default=Path("frames"))
     folder = parser.parse_args().frames
     scenes = ("coins", "whirl", "fence") if (folder / "coins_pinhole.exr").exists() else ("coins",)
     folder = folder if len(scenes) > 1 else DATA
