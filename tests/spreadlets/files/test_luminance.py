@@ -11,7 +11,7 @@ def test_luminance_and_chroma_become_colours():
     y = (0.5 + rng.random((8, 12))).astype(np.float32)
     ramp = np.broadcast_to(np.linspace(0.1, 0.4, 12, dtype=np.float32), (8, 12))
     red, blue = (ramp + 1) * y, (0.2 - ramp + 1) * y
-    green = (y - 0.2126 * red - 0.0722 * blue) / 0.7152
+    green = (y - 0.212639 * red - 0.072192 * blue) / 0.715169
     planes = {
         "Y": Plane(y, window, (1, 1)),
         "RY": Plane(ramp[::2, ::2], window, (2, 2)),
