@@ -14,10 +14,11 @@ import OpenEXR
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.atomic import atomic_path
-from spreadlets.files.attributes import FILE_ATTRIBUTES, WRITTEN_BY_LIBRARY, carry_attributes
+from spreadlets.files.attributes import FILE_ATTRIBUTES, WRITTEN_BY_LIBRARY, carry_attributes, chromaticities
 from spreadlets.files.exr_parts import library_messages, part_header
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import image_array
+from spreadlets.scene.primaries import to_rec_709
 from spreadlets.scene.raster import Raster, Window, placed
 
 HALF_MAX = float(np.finfo(np.float16).max)
@@ -65,7 +66,8 @@ def write_image(
     ----------
     path : path
         Where to write; an existing file is replaced. ``.exr`` is OpenEXR; ``.png``, ``.jpg``, ``.jpeg``, ``.tif`` and
-        ``.tiff`` are pictures for viewing: of the display window, 8-bit sRGB, dithered, over black, NaN as black.
+        ``.tiff`` are pictures for viewing: of the display window, 8-bit sRGB, dithered, over black, NaN as black; from
+        the primaries that the raster's chromaticities name.
     radiance : array_like of shape (H, W, 3) or (H, W, 4)
         Linear values, stored as R, G, B and A.
     half : bool
@@ -102,7 +104,9 @@ def write_image(
         for name, value in (("half", half), ("metadata", metadata), ("channels", channels)):
             if value:
                 raise InvalidParameterError(f"{path}: {name} is for OpenEXR; name it {OPENEXR}")
-        _write_picture(path, placed(image, raster.data, raster.display), PICTURES[extension])
+        shown = placed(image, raster.data, raster.display)[..., :3]
+        own = chromaticities(raster.attributes)
+        _write_picture(path, shown if own is None else to_rec_709(shown, own), PICTURES[extension])
         return
     header = {**_checked_metadata(metadata or {}), **part_header()}
     window = raster.written(image)

@@ -170,6 +170,8 @@ def _part_info(header: Mapping[str, Any]) -> dict[str, Any]:
         "type": "deep" if is_deep(header) else "flat",
         "compression": header["compression"].name,
         "data_window": [int(left), int(top), int(right), int(bottom)],
+        "display_window": [int(edge) for corner in header["displayWindow"] for edge in corner],
+        "pixel_aspect": float(header.get("pixelAspectRatio", 1.0)),
         "channels": sorted(channel.name for channel in header["channels"]),
     }
 

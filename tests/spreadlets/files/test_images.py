@@ -9,7 +9,7 @@ from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
 from spreadlets.files.exr_chunks import read_attributes
 from spreadlets.scene.display import display_encode
-from spreadlets.scene.raster import Raster, Window
+from spreadlets.scene.raster import Attribute, Raster, Window
 
 SHAPE = (5, 7)
 
@@ -156,3 +156,15 @@ def test_further_channels_keep_their_type_and_values(path):
 def test_what_a_picture_cannot_hold_is_refused(tmp_path, settings):
     with pytest.raises(InvalidParameterError, match=f"{next(iter(settings))} is for OpenEXR"):
         images.write_image(tmp_path / "out.png", np.ones((*SHAPE, 3)), **settings)
+
+
+def test_pictures_are_in_the_primaries_of_a_display(tmp_path):
+    from skimage.io import imread
+
+    xyz = np.array([1, 0, 0, 1, 0, 0, 1 / 3, 1 / 3], "<f4")
+    window = Window(0, 0, 7, 5)
+    raster = Raster(window, window, attributes={"chromaticities": Attribute("chromaticities", xyz.tobytes())})
+    red = np.broadcast_to(np.float32([0.4124, 0.2126, 0.0193]) / (0.9505, 1, 1.089), (*SHAPE, 3))
+    images.write_image(tmp_path / "out.png", red, raster=raster)
+    found = imread(tmp_path / "out.png").reshape(-1, 3).mean(axis=0)
+    assert found[0] > 240 and found[1:].max() < 40
