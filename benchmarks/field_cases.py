@@ -87,6 +87,7 @@ def main() -> None:
     cases = sorted(path.parent for path in given.folder.resolve().glob("*/repro.sh"))
     cases = [case for case in cases if not given.only or case.name.startswith(tuple(given.only))]
     with tempfile.TemporaryDirectory() as temporary:
+        os.chmod(temporary, 0o755)  # cases may run the commands as another user
         old = runner(Path(temporary), "before", given.before.resolve(), given.before.resolve())
         new = runner(Path(temporary), "after", given.after.resolve(), given.before.resolve())
         reports = []

@@ -102,7 +102,7 @@ def samples_files(path: PathLike) -> list[str]:
 
 def samples_raster(path: PathLike, shape: tuple[int, int]) -> Raster:
     """Return where the pixels (H, W) lie that `read_samples` gives, and what the file's first header says besides."""
-    if os.path.isfile(os.fspath(path).removesuffix(HEADER_SUFFIX) + HEADER_SUFFIX):
+    if is_tlfr(os.fspath(path).removesuffix(HEADER_SUFFIX)):
         return Raster.of_shape(shape)
     display = window(read_headers(path)[0]["displayWindow"])
     return Raster(display, display, attributes=carried_attributes(path)[0])

@@ -497,6 +497,26 @@ def test_deep_samples_without_colour_are_refused_with_what_is_needed(tmp_path):
         sp.read_frame(path)
 
 
+# --- Samples -------------------------------------------------------------------------------------------------------
+
+
+def test_samples_whose_header_stands_in_the_same_file_are_reconstructed(tmp_path, run, small_combined_path):
+    shape = (HEIGHT, WIDTH, 1)
+    camera = sp.ThinLens(50, 36, 16, 4)
+    samples = sp.SampleBuffer(
+        RGB[:, :, None], np.full(shape, 4.0), np.zeros((*shape, 2)), np.zeros((*shape, 2)), np.zeros(shape)
+    )
+    sp.write_tlfr(tmp_path / "two.txt", samples, camera=camera, binary=False)
+    one = tmp_path / "one.txt"
+    one.write_text((tmp_path / "two.txt.header").read_text() + (tmp_path / "two.txt").read_text())
+    given = ["--focal-length", 50, "--sensor-width", 36, "--f-number", 16, "--focus", 4, "--shutter", "180deg"]
+    for name in ("one", "two"):
+        made = ["reconstruct", tmp_path / f"{name}.txt", "-o", tmp_path / f"{name}.exr", "--db", small_combined_path]
+        status, _, error = run(*made, *given)
+        assert status == 0, error
+    np.testing.assert_array_equal(sp.read_image(tmp_path / "one.exr"), sp.read_image(tmp_path / "two.exr"))
+
+
 # --- What info says ------------------------------------------------------------------------------------------------
 
 
