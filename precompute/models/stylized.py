@@ -101,6 +101,20 @@ def _check_png(path: str, file: BinaryIO) -> None:
     width, height = struct.unpack(">II", start[16:])
     if not 0 < max(width, height) <= MAX_FILE_SIDE:
         raise InvalidFileError(f"{path}: has {width} x {height} px; at most {MAX_FILE_SIDE} x {MAX_FILE_SIDE} are read")
+    _check_chunks(path, file)
+    file.seek(0)
+
+
+def _check_chunks(path: str, file: BinaryIO) -> None:
+    """Refuse a PNG whose chunks are not what their checksums say: the library does not look at those of the pixels."""
+    file.seek(len(PNG_SIGNATURE))
+    kind = b""
+    while kind != b"IEND":
+        head = file.read(8)
+        length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
+        content = file.read(length + 4)
+        if len(content) < length + 4 or zlib.crc32(kind + content[:-4]) != int.from_bytes(content[-4:], "big"):
+            raise InvalidFileError(f"{path}: not a readable PNG file: it is truncated or corrupt")
 
 
 def _pixels(file: BinaryIO) -> DoubleArray:

@@ -147,3 +147,13 @@ def test_an_image_of_a_database_is_not_unpacked_beyond_its_shape(letter_path):
         decode(stored | {"shape": [100_000, 100_000, 3]})
     bomb = base64.b64encode(zlib.compress(bytes(1 << 24), 9)).decode()
     assert decode({"shape": [2, 2, 3], "u16": bomb}).shape == (2, 2, 3)
+
+
+def test_an_image_that_has_lost_bytes_is_refused(letter_path):
+    with open(letter_path, "rb") as file:
+        content = file.read()
+    for damaged in (content[:-200] + content[-199:], content[:-12], content[:60] + content[61:]):
+        with open(letter_path, "wb") as file:
+            file.write(damaged)
+        with pytest.raises(InvalidFileError, match="not a readable PNG file"):
+            read_settings(image=letter_path)
