@@ -29,7 +29,7 @@ def row(name: str) -> str:
     still = [trace_psf(make("simplelens", **shape), [[RADIUS, RADIUS]], side=side) for side in (1, -1)]
     errors = [relative_l1(psf, drawn(shape, RADIUS, side=side)) for psf, side in zip(still, (1, -1), strict=True)]
     box = [[MOVING_RADIUS, MOVING_RADIUS], [LENGTH, LENGTH]]
-    moving = trace_psf(make("combined", **shape), box, direction=DIRECTION)
+    moving = trace_psf(make("combined", **shape), box, angle=DIRECTION)
     errors.append(relative_l1(moving, drawn(shape, MOVING_RADIUS, PATH, np.ones(160), n=400)))
     points = [sparsify(psf)[1] for psf in (still[0], moving)]
     figures = "  ".join(f"{100 * each['sparsity']:5.1f} %  {each['ssim']:.3f}" for each in points)

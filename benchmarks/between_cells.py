@@ -43,9 +43,9 @@ def traced_row(name: str, count: int) -> str:
         grid = database.grid
     places = between_cells.random_places(grid, count)
     scores = []
-    for made, coordinate, direction, side in zip(exact_psf(grid.model)(*places), *places, strict=True):
+    for made, coordinate, angle, side in zip(exact_psf(grid.model)(*places), *places, strict=True):
         box = np.repeat(coordinate[:, None], 2, axis=1)
-        traced = trace_psf(grid.model, box, direction=direction, side=int(side))
+        traced = trace_psf(grid.model, box, angle=angle, side=int(side))
         scores.append(psf_similarity(*between_cells.on_one_window(traced, made.to_dense())))
     return f"{name:<14}{count:>6}{np.mean(scores):>14.4f}{np.percentile(scores, 1):>14.4f}{min(scores):>14.4f}"
 

@@ -101,11 +101,11 @@ class MidpointPsfs:
     def __init__(self, database: sp.Database) -> None:
         self.database = database
 
-    def __call__(self, cell: int, direction: int, scale: float) -> np.ndarray:
+    def __call__(self, cell: int, pose: int, scale: float) -> np.ndarray:
         """Return the PSF of a cell and direction."""
         grid = self.database.grid
         middle = np.repeat(grid.coordinate(cell)[:, None] * scale, 2, axis=1)
-        return trace_psf(grid.model, middle, direction=float(self.database.directions(cell)[direction]))
+        return trace_psf(grid.model, middle, angle=float(self.database.angles(cell)[pose]))
 
 
 def read_bench(path: Path) -> dict[tuple[str, str, str, str], tuple[float, float]]:

@@ -82,7 +82,7 @@ def database_picture(name: str) -> None:
         else:
             spots = [(database.find(place), 1) for place in PLACES[name]]
         for cell, side in spots:
-            number = database.grid.nearest_direction(int(cell), 0.0 if name != "combined" else 0.6, side < 0)[0]
+            number = database.grid.nearest_pose(int(cell), 0.0 if name != "combined" else 0.6, side < 0)[0]
             spreadlet = database.cell(int(cell), int(number))
             # A halo is a thousand times darker than the light that passes straight.
             gain = 300.0 if name == "volume" else 1.0
@@ -100,7 +100,7 @@ def aperture_picture() -> None:
         behind = trace_psf(still, [[60.0, 60.0]])
         stored = still.symmetry.sign == "stored"
         front = trace_psf(still, [[60.0, 60.0]], side=-1) if stored else behind[::-1, ::-1]
-        streak = trace_psf(moving, [[40.0, 40.0], [90.0, 90.0]], direction=0.6)
+        streak = trace_psf(moving, [[40.0, 40.0], [90.0, 90.0]], angle=0.6)
         for row, psf in zip(rows, (behind, front, streak), strict=True):
             row.append(tile(np.broadcast_to(psf, (*psf.shape[:2], 3)))[::2, ::2])
     save("apertures", rows)

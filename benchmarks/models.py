@@ -144,18 +144,18 @@ class DensePsfs:
     def __init__(self, database: Database) -> None:
         self.database, self.known = database, {}
 
-    def __call__(self, cell: int, direction: int, scale: float) -> np.ndarray:
+    def __call__(self, cell: int, pose: int, scale: float) -> np.ndarray:
         """Return the PSF of a pose, its parameters times a scale."""
-        key = (cell, direction, scale)
+        key = (cell, pose, scale)
         if key not in self.known:
             grid = self.database.grid
             stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
             self.known[key] = trace_psf(
                 grid.model,
                 grid.box(cell) * stretch,
-                direction=float(self.database.directions(cell)[direction]),
-                direction_half_width=grid.direction_half_width(cell),
-                side=grid.side(cell, direction),
+                angle=float(self.database.angles(cell)[pose]),
+                angle_half_width=grid.angle_half_width(cell),
+                side=grid.side(cell, pose),
                 rays=DENSE_RAYS,
             )
         return self.known[key]
@@ -214,8 +214,8 @@ def priced(grid: PsfGrid, cell: int, number: int) -> list[tuple[float, float, fl
     psf = trace_psf(
         grid.model,
         grid.box(cell),
-        direction=float(grid.directions(cell)[number]),
-        direction_half_width=grid.direction_half_width(cell),
+        angle=float(grid.angles(cell)[number]),
+        angle_half_width=grid.angle_half_width(cell),
         side=grid.side(cell, number),
     )
     found = []

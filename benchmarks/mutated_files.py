@@ -269,7 +269,7 @@ def read_database_as_stored(path: Path, original: Path) -> Further:
 
 
 def everything(database) -> dict[str, np.ndarray]:
-    places = [(cell, n) for cell in range(database.n_cells) for n in range(len(database.directions(cell)))]
+    places = [(cell, n) for cell in range(database.n_cells) for n in range(len(database.angles(cell)))]
     spreadlets = database.spreadlets(places)
     database.summary()
     return {
@@ -279,7 +279,7 @@ def everything(database) -> dict[str, np.ndarray]:
         "shape": np.array(database.grid.shape),
         "cell_start": database.cell_start,
         "point_start": database.point_start,
-        "direction": database.direction,
+        "direction": database.angle,
         "direct": database.direct,
         "offset_rc": np.concatenate([each.offset_rc for each in spreadlets]),
         "value": np.concatenate([each.value for each in spreadlets]),

@@ -15,7 +15,7 @@ import numpy as np
 import spreadlets as sp
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from reference import capsule_psf, disc_coverage  # noqa: E402
+from naive.psfs import capsule_psf, disc_coverage  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SIZE = 321

@@ -102,9 +102,9 @@ class DenseCache:
     def __init__(self, database: sp.Database, by_rows: bool) -> None:
         self.trace, self.by_rows, self.known = DensePsfs(database), by_rows, {}
 
-    def __call__(self, cell: int, direction: int, scale: float) -> np.ndarray:
+    def __call__(self, cell: int, pose: int, scale: float) -> np.ndarray:
         """Return the PSF of a cell."""
-        key = cell, direction, scale
+        key = cell, pose, scale
         if key not in self.known:
             self.known[key] = self.trace(*key)
         return self.known[key]

@@ -50,7 +50,7 @@ from spreadlets.psf.spreadlet import Spreadlet
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
-import reference  # noqa: E402  (the analytic PSFs live with the tests)
+from naive import psfs  # noqa: E402  (the analytic PSFs live with the tests)
 
 RESULTS = ROOT / "benchmarks" / "results"
 NAME = "spreadlet_quality"
@@ -123,18 +123,18 @@ def parallel(function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]])
 
 def cell_psf(grid: PsfGrid, cell: int, number: int = 0, prefilter: bool = True) -> np.ndarray:
     """Trace a cell's PSF as a build does; without pre-filter at the midpoint of the cell's box."""
-    direction = float(grid.directions(cell)[number])
+    angle = float(grid.angles(cell)[number])
     seed = int(np.random.SeedSequence((SEED, cell, number)).generate_state(1)[0])
     if prefilter:
-        width = grid.direction_half_width(cell)
-        return trace_psf(grid.model, grid.box(cell), direction=direction, direction_half_width=width, seed=seed)
-    return exact_psf(grid.coordinate(cell), direction)
+        width = grid.angle_half_width(cell)
+        return trace_psf(grid.model, grid.box(cell), angle=angle, angle_half_width=width, seed=seed)
+    return exact_psf(grid.coordinate(cell), angle)
 
 
-def exact_psf(coordinate: Sequence[float], direction: float = 0.0) -> np.ndarray:
+def exact_psf(coordinate: Sequence[float], angle: float = 0.0) -> np.ndarray:
     """Trace the PSF of one CoC radius, one motion and one direction."""
     box = np.repeat(np.asarray(coordinate, dtype=np.float64)[:, None], 2, axis=1)
-    return trace_psf(grid_of().model, box, direction=direction)
+    return trace_psf(grid_of().model, box, angle=angle)
 
 
 def make(n_cells: int, cell: int, number: int = 0, density: float = 1.0, prefilter: bool = True) -> Made:
@@ -388,10 +388,10 @@ def direction_loss(cell: int, angle: float) -> float:
     """Return the similarity at the reference direction less that at an angle, both against the exact direction."""
     grid, scores = grid_of(), []
     for wanted in (0.0, angle):
-        number, transpose, flip_row, flip_col = (x.item() for x in grid.nearest_direction(cell, wanted))
+        number, transpose, flip_row, flip_col = (x.item() for x in grid.nearest_pose(cell, wanted))
         stored = make(N_CELLS, cell, number).spreadlet
         turned = stored.transformed(transpose=transpose, flip_row=flip_row, flip_col=flip_col)
-        scores.append(similarity(trace_psf(grid.model, grid.box(cell), direction=wanted), turned))
+        scores.append(similarity(trace_psf(grid.model, grid.box(cell), angle=wanted), turned))
     return scores[0] - scores[1]
 
 
@@ -587,9 +587,7 @@ TRACED_ANGLES = (0.0, 0.3, math.pi / 4)
 def tracing_error(radius: float, length: float, angle: float) -> float:
     psf = exact_psf((radius, length), angle)[..., 0]
     size = 2 * math.ceil(radius + length / 2 + 2) + 1
-    analytic = (
-        reference.capsule_psf(radius, length, angle, size) if length else reference.disc_coverage(radius, size=size)
-    )
+    analytic = psfs.capsule_psf(radius, length, angle, size) if length else psfs.disc_coverage(radius, size=size)
     pad = [((size - n) // 2,) * 2 for n in psf.shape]
     return float(np.abs(np.pad(psf, pad) - analytic).sum())
 

@@ -21,7 +21,7 @@ from spreadlets.psf.model import get_model
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
-import reference  # noqa: E402  (the analytic PSFs live with the tests)
+from naive import psfs  # noqa: E402  (the analytic PSFs live with the tests)
 
 RESULTS = ROOT / "benchmarks" / "results"
 ANGLE = 0.3
@@ -39,7 +39,7 @@ def traced(radius, length, rays):
     if length == 0.0:
         return trace_psf(get_model("simplelens"), [[radius, radius]], rays=rays)[..., 0]
     box = [[radius, radius], [length, length]]
-    return trace_psf(get_model("combined"), box, direction=ANGLE, rays=rays)[..., 0]
+    return trace_psf(get_model("combined"), box, angle=ANGLE, rays=rays)[..., 0]
 
 
 def random_rays(radius, length, rays, size):
@@ -56,7 +56,7 @@ def relative_l1(psf, expected):
 
 
 def measure(radius, length):
-    expected = reference.capsule_psf(radius, length, ANGLE, 2 * int(radius + length / 2 + 4) + 1)
+    expected = psfs.capsule_psf(radius, length, ANGLE, 2 * int(radius + length / 2 + 4) + 1)
     for rays in [*RAYS, None]:
         traced(radius, length, rays)
         began = time.perf_counter()

@@ -15,7 +15,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
-from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, View
+from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, Visibility
 from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
@@ -104,8 +104,8 @@ def synthesize(
             plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf, exact_psf=exact_psf)
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
-            view = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
-        _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
+            visibility = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
+        _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
     image = _finished(image, frame.raster, raster, camera, database, options)
     return image, Report.of(clock, plan_figures(tally, database))
 
@@ -142,20 +142,20 @@ def reconstruct(
     options, clock, tally = options or Options(), clock or Clock(), Tally()
     _warn_about_view(database, camera, samples.shape[1])
     with clock.step("plan"):
-        passes = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
-        passes, tally.clamped = _clamped_samples(passes, options.firefly_clamp or SAMPLE_CLAMP)
+        pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
+        pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
         n_layers = options.layers or DEFAULT_LAYERS
         plan = plan_pixels(
-            passes, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
+            pixel_sets, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
         )
-        view = PassingSamples(samples, camera, passes, plan, defocus=options.defocus)
+        visibility = PassingSamples(samples, camera, pixel_sets, plan, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
-    _add_plan(image, plan, view, _solver(options), clock, tally, closed=closed)
+    _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
     with clock.step("composite"):
         # A gain of the colours alone would part them from an alpha that is as inexact.
         if closed and options.calibrate and _shows_samples(samples, camera, database, options):
-            calibrate(image, [each.radiance for each in passes], samples.valid)
+            calibrate(image, [each.radiance for each in pixel_sets], samples.valid)
         else:
             plan.left_out.append("calibration")
     if options.denoise is not None:
@@ -207,16 +207,16 @@ def _clamped_frame(frame_layers: Sequence[Layer], factor: float | None) -> tuple
     return clamped, sum(count for _, count in found)
 
 
-def _clamped_samples(passes: list[Pixels], factor: float) -> tuple[list[Pixels], int]:
+def _clamped_samples(pixel_sets: list[Pixels], factor: float) -> tuple[list[Pixels], int]:
     """Clamp the fireflies among samples; return how many were."""
     if math.isinf(factor):
-        return passes, 0
-    colours, count = clamp_fireflies([(each.radiance, each.labels.shift) for each in passes], factor)
-    return [each._replace(radiance=colour) for each, colour in zip(passes, colours, strict=True)], count
+        return pixel_sets, 0
+    colours, count = clamp_fireflies([(each.radiance, each.labels.shift) for each in pixel_sets], factor)
+    return [each._replace(radiance=colour) for each, colour in zip(pixel_sets, colours, strict=True)], count
 
 
 def _add_plan(
-    image: Image, plan: Plan, view: View | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
+    image: Image, plan: Plan, visibility: Visibility | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
 ) -> None:
     """Put the layers of a plan behind an image, in place."""
     with clock.step("splat"):
@@ -230,9 +230,9 @@ def _add_plan(
         canvas, padded = _splat_layer(sources, number, plan, solver, clock)
         last = closed and number == used[-1]
         with clock.step("composite"):
-            seen = None if view is None or last else view.seen(number)
-            kind = LAST if last else COVERAGE if view is None else view.kind
-            least = LEAST_SEEN if view is None else view.least
+            seen = None if visibility is None or last else visibility.seen(number)
+            kind = LAST if last else COVERAGE if visibility is None else visibility.kind
+            least = LEAST_SEEN if visibility is None else visibility.least
             add_layer(
                 image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
             )
@@ -280,8 +280,8 @@ def _filtered(
             straight = replace(layer, motion_prev=None, motion_next=None)
             moved = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
             # A filter has no place to move light to.
-            passes = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
-            plan = plan_pixels(passes, database, options, 1, border=False, dense_psf=dense_psf)
+            pixel_sets = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
+            plan = plan_pixels(pixel_sets, database, options, 1, border=False, dense_psf=dense_psf)
         with clock.step("splat"):
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)

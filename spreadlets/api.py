@@ -363,7 +363,7 @@ def build_database(
     path, options
         See `precompute.build.build.build_database`.
     frames : sequence of Frame, optional
-        Build only the cells and directions that these frames use; needs the camera.
+        Build only the cells and poses that these frames use; needs the camera.
     camera : ThinLens, optional
         Lens and shutter for `frames`, and for models that depend on the camera.
 
@@ -415,8 +415,8 @@ class DensePsfs:
     database: Database
     by_rows: bool = False
 
-    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
-        """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
+    def __call__(self, cell: int, pose: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF of a cell and pose, its parameters times a scale, as an array (h, w, C)."""
         from spreadlets.precompute.models.registry import trace_psf
 
         grid = self.database.grid
@@ -425,7 +425,7 @@ class DensePsfs:
             return trace_psf(
                 grid.model,
                 grid.box(cell) * stretch,
-                direction=float(self.database.directions(cell)[direction]),
-                direction_half_width=grid.direction_half_width(cell),
-                side=grid.side(cell, direction),
+                angle=float(self.database.angles(cell)[pose]),
+                angle_half_width=grid.angle_half_width(cell),
+                side=grid.side(cell, pose),
             )

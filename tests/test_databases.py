@@ -74,8 +74,8 @@ def retrace(database, cell, number):
     return trace_psf(
         database.grid.model,
         database.grid.box(cell),
-        direction=float(database.directions(cell)[number]),
-        direction_half_width=database.grid.direction_half_width(cell),
+        angle=float(database.angles(cell)[number]),
+        angle_half_width=database.grid.angle_half_width(cell),
         side=database.grid.side(cell, number),
         rays=database.provenance["parameters"]["rays"],
         seed=int(seed),
@@ -115,7 +115,7 @@ def measure(database, cell, number, statistics):
     energy = moments[0] if spreadlet.direct else 0.25 * (moments[4] + moments[5])
     index = int(database.cell_start[cell]) + number
     return Measured(
-        f"cell {cell}, direction {number}",
+        f"cell {cell}, pose {number}",
         is_large(database, cell),
         psf_similarity(true, drawn),
         psf_l1(true, drawn),
@@ -135,7 +135,7 @@ def measured(request):
     with open_database(path) as database:
         statistics = database.statistics()
         cells = np.linspace(0, database.n_cells - 1, N_SAMPLED).round().astype(int).tolist()
-        numbers = [int(rng.integers(len(database.directions(cell)))) for cell in cells]
+        numbers = [int(rng.integers(len(database.angles(cell)))) for cell in cells]
         found = [measure(database, *place, statistics) for place in zip(cells, numbers, strict=True)]
     return found, MEAN_SPARSITY[FRESH if fresh else path.stem]
 

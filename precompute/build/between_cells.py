@@ -36,7 +36,7 @@ class Places(NamedTuple):
     """Random coordinates (n, n_axes), directions (n,) and sides (n,)."""
 
     coordinate: DoubleArray
-    direction: DoubleArray
+    angle: DoubleArray
     side: np.ndarray[Any, np.dtype[np.int64]]
 
 
@@ -76,11 +76,11 @@ def random_places(grid: PsfGrid, count: int) -> Places:
     """Return random coordinates, evenly spread over the remapped axes, with random directions and sides."""
     rng = np.random.default_rng(SEED)
     fraction = grid.first + (1.0 - grid.first) * rng.random((count, grid.model.n_axes))
-    direction = rng.uniform(-np.pi, np.pi, count) if grid.model.has_direction else np.zeros(count)
+    angle = rng.uniform(-np.pi, np.pi, count) if grid.model.has_direction else np.zeros(count)
     side = np.where(rng.random(count) < 0.5, -1, 1).astype(np.int64)
     if grid.model.symmetry.sign == "ignored":
         side[:] = 1
-    return Places(grid.maximum * fraction**grid.power, direction, side)
+    return Places(grid.maximum * fraction**grid.power, angle, side)
 
 
 def _exact_psfs(grid: PsfGrid, places: Places, rays: int | None) -> list[DoubleArray]:
@@ -89,19 +89,17 @@ def _exact_psfs(grid: PsfGrid, places: Places, rays: int | None) -> list[DoubleA
         return [psf.to_dense() for psf in exact(*places)]
 
     def traced(place: tuple[DoubleArray, float, int]) -> DoubleArray:
-        coordinate, direction, side = place
+        coordinate, angle, side = place
         box = np.repeat(coordinate[:, None], 2, axis=1)
-        return trace_psf(grid.model, box, direction=direction, side=side, rays=rays, seed=SEED)
+        return trace_psf(grid.model, box, angle=angle, side=side, rays=rays, seed=SEED)
 
     return for_each(traced, zip(*places, strict=True))
 
 
-def _of_cell(
-    grid: PsfGrid, find: FindSpreadlet, coordinate: DoubleArray, direction: float, side: int
-) -> Spreadlet | None:
+def _of_cell(grid: PsfGrid, find: FindSpreadlet, coordinate: DoubleArray, angle: float, side: int) -> Spreadlet | None:
     """Return the spreadlet that a pixel is drawn with, turned as it is drawn."""
     cell = int(grid.find(coordinate))
-    pose, transpose, flip_row, flip_col = grid.nearest_direction(cell, direction, side < 0)
+    pose, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, side < 0)
     spreadlet = find(cell, int(pose))
     if spreadlet is None:
         return None

@@ -1,4 +1,4 @@
-"""Building a database: every cell and direction traced and sparsified by workers, resumable, extendable.
+"""Building a database: every cell and pose traced and sparsified by workers, resumable, extendable.
 
 Workers compute (`precompute.build.workers`), this process alone writes: finished cells into a folder
 (`precompute.build.parts`), and in the end all of them into the database, which appears whole.
@@ -74,7 +74,7 @@ def build_database(
     rays : int, optional
         Ray budget for each PSF; the default is the tracer's own.
     only : iterable of (int, int), optional
-        The (cell, direction) pairs to build; the others are left out, and reading one of them is an error.
+        The (cell, pose) pairs to build; the others are left out, and reading one of them is an error.
     jobs : int, optional
         Number of processes, each of one thread; the default is the number of cores.
     scheduler : str, optional
@@ -116,7 +116,7 @@ def build_database(
             kept = stack.enter_context(Kept.of(target, grid, density))
             density, sparsifier, rays, seed = check_extension(kept, density, sparsifier, rays, seed)
         density, sparsifier = density or 1.0, sparsifier or DEFAULT_SPARSIFIER
-        wanted = _wanted_directions(grid, None if only is None else {*only, *kept.places()})
+        wanted = _wanted_poses(grid, None if only is None else {*only, *kept.places()})
         missing = [
             tuple(number for number in numbers if (cell, number) not in kept) for cell, numbers in enumerate(wanted)
         ]
@@ -210,13 +210,13 @@ def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
     return REGISTRY[model].read_settings(**given)
 
 
-def _wanted_directions(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:
-    """Return the directions to build for each cell."""
+def _wanted_poses(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:
+    """Return the poses to build for each cell."""
     if only is None:
         return [tuple(range(int(count))) for count in grid.pose_counts]
     wanted: list[set[int]] = [set() for _ in range(grid.n_cells)]
-    for cell, direction in only:
-        wanted[cell].add(direction)
+    for cell, pose in only:
+        wanted[cell].add(pose)
     return [tuple(sorted(each)) for each in wanted]
 
 
@@ -228,8 +228,8 @@ def _compute_missing(
     log: str | os.PathLike[str],
     progress: Progress | None,
 ) -> BuildProgress:
-    """Compute the cells that have no part yet, storing each as soon as all its directions are there."""
-    tasks = [task for task in tasks if task.directions]
+    """Compute the cells that have no part yet, storing each as soon as all its poses are there."""
+    tasks = [task for task in tasks if task.poses]
     missing = {task.cell: task for task in tasks if not parts.has(task)}
     with open_workers(jobs or os.cpu_count() or 1, scheduler) as (n_workers, compute):
         units = plan_units(list(missing.values()), n_workers)
@@ -245,13 +245,13 @@ def _compute_missing(
 def _cells(
     results: Iterable[UnitResult], missing: Mapping[int, CellTask], shown: BuildProgress
 ) -> Iterator[tuple[int, list[UnitResult]]]:
-    """Yield each cell as soon as all its units are there, its units in the order of their directions."""
+    """Yield each cell as soon as all its units are there, its units in the order of their poses."""
     waiting: dict[int, list[UnitResult]] = defaultdict(list)
     for result in results:
         shown.worked(result.cost)
         units = waiting[result.cell]
         units.append(result)
-        if sum(len(unit.records) for unit in units) == len(missing[result.cell].directions):
+        if sum(len(unit.records) for unit in units) == len(missing[result.cell].poses):
             yield result.cell, sorted(waiting.pop(result.cell), key=lambda unit: min(unit.records))
     if waiting:
         raise BuildStoppedError(f"no results came back for {len(waiting)} cells; run the same command again")
@@ -259,9 +259,9 @@ def _cells(
 
 def _cell(task: CellTask, parts: Parts, kept: Kept) -> list[CellRecord]:
     """Return all records of a cell: built, kept, and those that are left out."""
-    built = dict(zip(task.directions, parts.load(task), strict=True)) if task.directions else {}
+    built = dict(zip(task.poses, parts.load(task), strict=True)) if task.poses else {}
     built |= kept.records(task.cell)
-    count = len(task.grid.directions(task.cell))
+    count = len(task.grid.angles(task.cell))
     return [built.get(number) or absent_record(task.grid, task.cell, number) for number in range(count)]
 
 

@@ -32,7 +32,7 @@ UNIT_TOLERANCE = 1e-9
 """Share of a unit that rounding may add to a range."""
 
 ANGLE_TOLERANCE = 1e-9
-"""rad by which a direction may differ from one that is kept: rounding."""
+"""rad by which an angle may differ from one that is kept: rounding."""
 
 
 def extended_grid(path: str | os.PathLike[str], model: str, options: Mapping[str, Any]) -> PsfGrid:
@@ -127,7 +127,7 @@ class Kept:
         return 0.0 if self.database is None else float(self.database.provenance.get("build_s", 0.0))
 
     def __contains__(self, place: tuple[int, int]) -> bool:
-        """Return whether a direction of a cell of the new grid is kept."""
+        """Return whether a pose of a cell of the new grid is kept."""
         cell, number = place
         if self.database is None or cell not in self.sources:
             return False
@@ -136,7 +136,7 @@ class Kept:
         return bool(stored and (self.database.direct[index] or not self.direct_only))
 
     def places(self) -> set[tuple[int, int]]:
-        """Return all (cell, direction) of the new grid that the old database holds, to be kept or built anew."""
+        """Return all (cell, pose) of the new grid that the old database holds, to be kept or built anew."""
         if self.database is None:
             return set()
         n_stored = np.diff(self.database.point_start)
@@ -149,35 +149,35 @@ class Kept:
         }
 
     def records(self, cell: int) -> dict[int, CellRecord]:
-        """Return what is kept of a cell, by the number of the direction."""
+        """Return what is kept of a cell, by the number of the pose."""
         if self.database is None or cell not in self.sources:
             return {}
         source = self.sources[cell]
-        directions = self.database.directions(source)
-        numbers = [number for number in range(len(directions)) if (cell, number) in self]
+        angles = self.database.angles(source)
+        numbers = [number for number in range(len(angles)) if (cell, number) in self]
         spreadlets = self.database.spreadlets([(source, number) for number in numbers])
         rows = [int(self.database.cell_start[source]) + number for number in numbers]
         statistics = self.database.statistics()
         return {
             number: CellRecord(
-                float(directions[number]), spreadlet, {name: float(column[row]) for name, column in statistics.items()}
+                float(angles[number]), spreadlet, {name: float(column[row]) for name, column in statistics.items()}
             )
             for number, spreadlet, row in zip(numbers, spreadlets, rows, strict=True)
         }
 
 
 def _same_cells(database: Database, grid: PsfGrid) -> dict[int, int]:
-    """Return the old cell of each new one that has the same place and the same directions."""
+    """Return the old cell of each new one that has the same place and the same angles."""
     old = {box.tobytes(): cell for cell, box in enumerate(database.grid.nested.boxes())}
     same: dict[int, int] = {}
     for cell, box in enumerate(grid.nested.boxes()):
         source = old.get(box.tobytes())
-        if source is not None and _same_directions(database.directions(source), grid.directions(cell)):
+        if source is not None and _same_angles(database.angles(source), grid.angles(cell)):
             same[cell] = source
     return same
 
 
-def _same_directions(old: npt.NDArray[np.float64], new: npt.NDArray[np.float64]) -> bool:
+def _same_angles(old: npt.NDArray[np.float64], new: npt.NDArray[np.float64]) -> bool:
     return len(old) == len(new) and bool(np.abs(old - new).max() <= ANGLE_TOLERANCE)
 
 

@@ -182,7 +182,7 @@ def _holder(folder: Path) -> str:
 
 def _packed(records: list[CellRecord]) -> bytes:
     arrays = {
-        "direction": np.array([record.direction for record in records]),
+        "direction": np.array([record.angle for record in records]),
         "count": np.array([record.spreadlet.n_points for record in records]),
         "direct": np.array([record.spreadlet.direct for record in records]),
         "offset_rc": np.concatenate([record.spreadlet.offset_rc for record in records]),
@@ -212,11 +212,11 @@ def _unpacked(content: bytes) -> list[CellRecord]:
             statistics = json.loads(str(part["statistics"]))
             return [
                 CellRecord(
-                    float(direction),
+                    float(angle),
                     Spreadlet(offset_rc[start[i] : start[i + 1]], value[start[i] : start[i + 1]], bool(direct[i])),
                     statistics[i],
                 )
-                for i, direction in enumerate(part["direction"])
+                for i, angle in enumerate(part["direction"])
             ]
     except (ValueError, KeyError, zipfile.BadZipFile) as error:
         raise BuildStoppedError(f"a stored cell is not readable: {error}; remove the folder of parts") from error

@@ -40,13 +40,13 @@ ENERGY_TOLERANCE = 1e-3
 
 
 class _Check(NamedTuple):
-    """What tracing one direction of a cell anew takes."""
+    """What tracing one pose of a cell anew takes."""
 
     cell: int
     number: int
     model: PsfModel
     box: DoubleArray
-    direction: float
+    angle: float
     half_width: float
     side: int
     rays: int | None
@@ -69,7 +69,7 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
     Returns
     -------
     dict
-        ``spreadlets`` that were read, ``cells`` of which one direction was traced, and ``differences``, the largest
+        ``spreadlets`` that were read, ``cells`` of which one pose was traced, and ``differences``, the largest
         absolute one of each figure of `TOLERANCES`.
 
     Raises
@@ -87,14 +87,14 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
         spreadlets = database.spreadlets([(cell, number) for number in stored])
         for number, spreadlet in zip(stored, spreadlets, strict=True):
             recorded = {name: float(c[database.cell_start[cell] + number]) for name, c in statistics.items()}
-            bad += [f"cell {cell}, direction {number}: {what}" for what in _point_problems(spreadlet, recorded)]
+            bad += [f"cell {cell}, pose {number}: {what}" for what in _point_problems(spreadlet, recorded)]
             if number == stored[cell % len(stored)]:
                 checks.append(_check(database, cell, number, spreadlet, recorded))
     differences = dict.fromkeys(TOLERANCES, 0.0)
     done = 0
     for check, measured in _measured(database, checks, jobs or os.cpu_count() or 1):
         done += 1
-        bad += [f"cell {check.cell}, direction {check.number}: {what}" for what in _figures(check, measured)]
+        bad += [f"cell {check.cell}, pose {check.number}: {what}" for what in _figures(check, measured)]
         for name, largest in differences.items():
             differences[name] = max(largest, abs(measured[name] - check.recorded[name]))
         if progress is not None:
@@ -114,7 +114,7 @@ def _other_version(database: Database) -> str:
 
 
 def _stored(database: Database, cell: int) -> list[int]:
-    """Return the directions of a cell that are not left out."""
+    """Return the poses of a cell that are not left out."""
     first, last = database.cell_start[cell : cell + 2]
     return np.flatnonzero(np.diff(database.point_start[first : last + 1])).tolist()
 
@@ -126,8 +126,8 @@ def _check(database: Database, cell: int, number: int, spreadlet: Spreadlet, rec
         number,
         grid.model,
         grid.box(cell),
-        float(database.directions(cell)[number]),
-        grid.direction_half_width(cell),
+        float(database.angles(cell)[number]),
+        grid.angle_half_width(cell),
         grid.side(cell, number),
         provenance.get("parameters", {}).get("rays"),
         pose_seed(int(provenance.get("seed", 0)), int(database.seed_cell[cell]), number),
@@ -161,8 +161,8 @@ def _measure(check: _Check) -> dict[str, float]:
         psf = trace_psf(
             check.model,
             check.box,
-            direction=check.direction,
-            direction_half_width=check.half_width,
+            angle=check.angle,
+            angle_half_width=check.half_width,
             side=check.side,
             rays=check.rays,
             seed=check.seed,

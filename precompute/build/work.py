@@ -1,6 +1,6 @@
 """What a build computes: cells, divided into work units of even size, the longest first.
 
-A unit is some directions of one cell. Its result depends on nothing else, so that cells come out the same on any number
+A unit is some poses of one cell. Its result depends on nothing else, so that cells come out the same on any number
 of workers, in any order, in one run or in several.
 """
 
@@ -26,7 +26,7 @@ ALGORITHM_VERSION = 4
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 UNITS_PER_WORKER = 32
-"""Least number of units for each worker, unless directions are longer than that: no worker then waits for the last one
+"""Least number of units for each worker, unless poses are longer than that: no worker then waits for the last one
 longer than a 32nd of the whole time."""
 
 COST_EXPONENT = 0.7
@@ -40,11 +40,11 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class CellTask(NamedTuple):
-    """All that the spreadlets of one cell depend on; the others of its directions are left out."""
+    """All that the spreadlets of one cell depend on; the others of its poses are left out."""
 
     grid: PsfGrid
     cell: int
-    directions: tuple[int, ...]
+    poses: tuple[int, ...]
     density: float
     rays: int | None
     seed: int
@@ -53,7 +53,7 @@ class CellTask(NamedTuple):
 
 
 class WorkUnit(NamedTuple):
-    """Some directions of one cell, and what they are made from: small enough to be sent to another machine.
+    """Some poses of one cell, and what they are made from: small enough to be sent to another machine.
 
     Attributes
     ----------
@@ -99,10 +99,10 @@ class UnitResult(NamedTuple):
 
 
 def build_unit(unit: WorkUnit) -> UnitResult:
-    """Trace and sparsify the directions of a unit; the result depends on the unit alone."""
+    """Trace and sparsify the poses of a unit; the result depends on the unit alone."""
     with _ONE_AT_A_TIME, single_threaded():
         begin = time.process_time()
-        records = {number: _build_record(unit, number, direction, side) for number, direction, side in unit.poses}
+        records = {number: _build_record(unit, number, angle, side) for number, angle, side in unit.poses}
         return UnitResult(unit.cell, records, time.process_time() - begin, unit.cost, ALGORITHM_VERSION)
 
 
@@ -118,20 +118,20 @@ def pose_seed(seed: int, cell: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, cell, number)).generate_state(1)[0])
 
 
-def _build_record(unit: WorkUnit, number: int, direction: float, side: int) -> CellRecord:
-    """Trace and sparsify one direction of a cell."""
+def _build_record(unit: WorkUnit, number: int, angle: float, side: int) -> CellRecord:
+    """Trace and sparsify one pose of a cell."""
     seed = pose_seed(unit.seed, unit.seed_cell, number)
     psf = trace_psf(
         unit.model,
         unit.box,
-        direction=direction,
-        direction_half_width=unit.half_width,
+        angle=angle,
+        angle_half_width=unit.half_width,
         side=side,
         rays=unit.rays,
         seed=seed,
     )
     spreadlet, statistics = sparsify(psf, density=unit.density, seed=seed, sparsifier=unit.sparsifier)
-    return CellRecord(direction, spreadlet, {**statistics, "total_variation": total_variation(psf)})
+    return CellRecord(angle, spreadlet, {**statistics, "total_variation": total_variation(psf)})
 
 
 def total_variation(psf: npt.NDArray[np.float64]) -> float:
@@ -153,7 +153,7 @@ def plan_units(tasks: Sequence[CellTask], workers: int) -> list[WorkUnit]:
     Returns
     -------
     list of WorkUnit
-        A unit has as many directions of its cell as stay below the `UNITS_PER_WORKER`-th part of a worker's share, and
+        A unit has as many poses of its cell as stay below the `UNITS_PER_WORKER`-th part of a worker's share, and
         at least one.
 
     Notes
@@ -162,32 +162,32 @@ def plan_units(tasks: Sequence[CellTask], workers: int) -> list[WorkUnit]:
     the last to finish takes p; longest first, p is one of the smallest.
     """
     costs = [_pose_cost(task) for task in tasks]
-    total = sum(cost * len(task.directions) for cost, task in zip(costs, tasks, strict=True))
+    total = sum(cost * len(task.poses) for cost, task in zip(costs, tasks, strict=True))
     share = total / (workers * UNITS_PER_WORKER)
     units = [unit for cost, task in zip(costs, tasks, strict=True) for unit in _units(task, cost, share)]
     return sorted(units, key=lambda unit: (-unit.cost, unit.cell, unit.poses))
 
 
 def _pose_cost(task: CellTask) -> float:
-    """Return the expected time of one direction of a cell, in a unit of its own."""
-    number = task.directions[0]
+    """Return the expected time of one pose of a cell, in a unit of its own."""
+    number = task.poses[0]
     pixels = psf_footprint(
         task.grid.model,
         task.grid.box(task.cell),
-        direction=float(task.grid.directions(task.cell)[number]),
-        direction_half_width=task.grid.direction_half_width(task.cell),
+        angle=float(task.grid.angles(task.cell)[number]),
+        angle_half_width=task.grid.angle_half_width(task.cell),
         side=task.grid.side(task.cell, number),
     )
     return float(LEAST_COST + pixels**COST_EXPONENT)
 
 
 def _units(task: CellTask, cost: float, share: float) -> Iterator[WorkUnit]:
-    """Yield the units of a cell, of nearly equal numbers of directions."""
+    """Yield the units of a cell, of nearly equal numbers of poses."""
     grid, cell = task.grid, task.cell
-    directions = grid.directions(cell)
-    poses = [(number, float(directions[number]), grid.side(cell, number)) for number in task.directions]
+    angles = grid.angles(cell)
+    poses = [(number, float(angles[number]), grid.side(cell, number)) for number in task.poses]
     n_units = min(len(poses), int(np.ceil(len(poses) / max(share / cost, 1.0))))
-    half_width, box = grid.direction_half_width(cell), grid.box(cell)
+    half_width, box = grid.angle_half_width(cell), grid.box(cell)
     for some in np.array_split(np.arange(len(poses)), n_units):
         chosen = tuple(poses[index] for index in some)
         options = task.density, task.rays, task.seed, task.seed_cell, task.sparsifier

@@ -208,17 +208,17 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     curve = model.settings["shutter_curve"]
     moves = model.has_direction
 
-    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
-        line_angle = direction if moves else LINE_ANGLE
+    def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
+        line_angle = angle if moves else LINE_ANGLE
         along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * points[:, :1] - 1.0
         u = along * math.cos(line_angle) - across * math.sin(line_angle)
         v = along * math.sin(line_angle) + across * math.cos(line_angle)
         radius = tent(points[:, 1:2], *box[0])
         x, y = (radius * part for part in aperture.image(u, v, side))
         if moves:
-            angle = tent(points[:, 3:4], direction - direction_half_width, direction + direction_half_width)
+            heading = tent(points[:, 3:4], angle - angle_half_width, angle + angle_half_width)
             way = tent(points[:, 2:3], *box[1]) * shutter_times(points[:, 4:5], curve)
-            x, y = x + way * np.cos(angle), y + way * np.sin(angle)
+            x, y = x + way * np.cos(heading), y + way * np.sin(heading)
         return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(u, v))
 
     n_dimensions = 5 if moves else 2

@@ -12,7 +12,7 @@ from spreadlets.precompute.models._capsule_kernels import draw_capsules, half_si
 from spreadlets.psf.spreadlet import Spreadlet
 
 
-def exact_capsules(coordinate: DoubleArray, direction: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
+def exact_capsules(coordinate: DoubleArray, angle: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
     """Yield discs swept along their paths: the PSFs of ``simplelens`` and ``combined`` with a round aperture.
 
     Parameters
@@ -28,7 +28,7 @@ def exact_capsules(coordinate: DoubleArray, direction: DoubleArray, side: IntArr
     """
     shape = np.zeros((len(coordinate), 3))
     shape[:, : coordinate.shape[1]] = coordinate
-    shape[:, 2] = np.where(shape[:, 1] > 0.0, direction, 0.0)
+    shape[:, 2] = np.where(shape[:, 1] > 0.0, angle, 0.0)
     halves = np.array([half_sizes(*each) for each in shape], np.int64).reshape(-1, 2)
     first = np.concatenate([[0], np.cumsum((2 * halves + 1).prod(axis=1))])
     offset_rc, value = np.empty((first[-1], 2), np.int16), np.empty((first[-1], 1), np.float32)

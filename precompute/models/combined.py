@@ -27,7 +27,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
 
 
 def trace(
-    points: npt.NDArray[np.float64], box: npt.NDArray[np.float64], direction: float, direction_half_width: float
+    points: npt.NDArray[np.float64], box: npt.NDArray[np.float64], angle: float, angle_half_width: float
 ) -> Segments:
     """Turn points of the unit cube into chords of the lens, each moving over the shutter.
 
@@ -36,13 +36,13 @@ def trace(
     points : ndarray of shape (n, N_DIMENSIONS), float64
     box : ndarray of shape (2, 2), float64
         Ranges of the circle of confusion's radius and of the path's length, px.
-    direction, direction_half_width : float
+    angle, angle_half_width : float
         Middle and half-width of the tent over the motion's direction, radians, y down.
     """
     radius = tent(points[:, 1], *box[0])
     half_path = 0.5 * tent(points[:, 2], *box[1])
-    angle = tent(points[:, 3], direction - direction_half_width, direction + direction_half_width)
-    return lens_chords(points[:, 0], radius, half_path, angle)
+    heading = tent(points[:, 3], angle - angle_half_width, angle + angle_half_width)
+    return lens_chords(points[:, 0], radius, half_path, heading)
 
 
 def reach(box: npt.NDArray[np.float64]) -> float:

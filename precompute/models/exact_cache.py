@@ -33,10 +33,10 @@ class CachedPsfs:
         self._n_points = 0
         self._lock = Lock()
 
-    def __call__(self, coordinate: DoubleArray, direction: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
+    def __call__(self, coordinate: DoubleArray, angle: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
         """Return the PSFs, see `spreadlets.psf.exact.ExactPsf`."""
         places = (tuple(each) for each in coordinate.tolist())
-        keys = list(zip(places, direction.tolist(), side.tolist(), strict=True))
+        keys = list(zip(places, angle.tolist(), side.tolist(), strict=True))
         with self._lock:
             known = {key: self._kept[key] for key in keys if key in self._kept}
         missing = [key for key in dict.fromkeys(keys) if key not in known]

@@ -61,7 +61,7 @@ def lens_psf(model: PsfModel) -> Callable[[tuple[float, ...], float, int], Doubl
         box[1] = np.minimum(box[1], corner_mm)
         return physicallens.lit_pupil(focused, box, side)
 
-    def psf(coordinate: tuple[float, ...], direction: float, side: int) -> DoubleArray:
+    def psf(coordinate: tuple[float, ...], angle: float, side: int) -> DoubleArray:
         coc, height = coordinate[0], min(coordinate[1], corner_mm)
         low, high, extent = lit(int(coc // LIT_STEP_PX), int(height // LIT_STEP_MM), side)
         wavelength = SHORTEST_NM + (LONGEST_NM - SHORTEST_NM) * (np.arange(WAVELENGTHS) + 0.5) / WAVELENGTHS
@@ -69,7 +69,7 @@ def lens_psf(model: PsfModel) -> Callable[[tuple[float, ...], float, int], Doubl
         # A lens is its own mirror image about the meridional plane.
         mesh = np.concatenate([mesh, mesh * np.array([1.0, -1.0, 1.0])])
         half = math.ceil(extent + 0.5)
-        turned = physicallens.turned(mesh[..., 0], mesh[..., 1], direction)
+        turned = physicallens.turned(mesh[..., 0], mesh[..., 1], angle)
         samples = int(np.clip(math.ceil(SAMPLES_PER_SQUARE * MESH_SIDE / (2.0 * extent)), *SAMPLES_PER_PX))
         mesh[..., :2] = samples * (turned + half + 0.5)
         return _coloured(mesh, (2 * half + 1, samples), np.tile(wavelength, 2))

@@ -311,7 +311,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     def lit(box: tuple[tuple[float, float], ...]) -> tuple[DoubleArray, DoubleArray, float]:
         return lit_pupil(focused, np.array(box), side)
 
-    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
+    def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
         low, high, extent = lit(_hashable(box))
         across = low[1] + (high[1] - low[1]) * points[:, :1]
         along = np.linspace(low[0], high[0], N_NODES)[None, :]
@@ -321,10 +321,10 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         bundle = trace_bundle(focused, place, wavelength, inverse, tent(points[:, 3], *box[1]))
         clearance = np.where(np.hypot(bundle.x, bundle.y) < extent, bundle.clearance, -1.0)
         density = np.broadcast_to(rgb_response(wavelength)[:, None, :], (*clearance.shape, 3))
-        angle = tent(points[:, 4], -direction_half_width, direction_half_width)[:, None]
-        place_on_image = turned(bundle.x, bundle.y, direction + angle)
+        spread = tent(points[:, 4], -angle_half_width, angle_half_width)[:, None]
+        place_on_image = turned(bundle.x, bundle.y, angle + spread)
         half = polylines(place_on_image[..., 0], place_on_image[..., 1], density, clearance)
-        return Segments(*map(np.concatenate, zip(half, _mirror_image(half, direction), strict=True)))
+        return Segments(*map(np.concatenate, zip(half, _mirror_image(half, angle), strict=True)))
 
     return Tracer(
         N_DIMENSIONS,
@@ -338,9 +338,9 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     )
 
 
-def _mirror_image(segments: Segments, direction: float) -> Segments:
+def _mirror_image(segments: Segments, angle: float) -> Segments:
     """Return the mirror image of segments about the meridional plane, which appears in a direction."""
-    cos, sin = math.cos(2.0 * direction), math.sin(2.0 * direction)
+    cos, sin = math.cos(2.0 * angle), math.sin(2.0 * angle)
     ends = segments.ends.reshape(-1, 2) @ np.array([[cos, sin], [sin, -cos]])
     return segments._replace(ends=ends.reshape(-1, 4))
 

@@ -51,10 +51,10 @@ def _exact_thin_lens(model: PsfModel) -> ExactPsf:
     return CachedPsfs(partial(_traced_exactly, model)) if model.settings else exact_capsules
 
 
-def _traced_exactly(model: PsfModel, coordinate: tuple[float, ...], direction: float, side: int) -> DoubleArray:
+def _traced_exactly(model: PsfModel, coordinate: tuple[float, ...], angle: float, side: int) -> DoubleArray:
     """Trace the PSF of a single coordinate."""
     box = np.repeat(np.array(coordinate)[:, None], 2, axis=1)
-    return trace_psf(model, box, direction=direction, side=side, rays=EXACT_RAYS)
+    return trace_psf(model, box, angle=angle, side=side, rays=EXACT_RAYS)
 
 
 REGISTRY = {
@@ -94,8 +94,8 @@ def trace_psf(
     model: PsfModel,
     box: npt.ArrayLike,
     *,
-    direction: float = 0.0,
-    direction_half_width: float = 0.0,
+    angle: float = 0.0,
+    angle_half_width: float = 0.0,
     side: int = 1,
     rays: int | None = None,
     seed: int = 0,
@@ -107,9 +107,9 @@ def trace_psf(
     model : PsfModel
     box : array_like of shape (n_axes, 2)
         Range of each parameter, physical units; a range of no width is not filtered.
-    direction : float
+    angle : float
         Direction of the motion (dx, dy) = (cos, sin), y down, radians; for models with direction.
-    direction_half_width : float
+    angle_half_width : float
         Half-width of the tent over the direction, radians; 0 for no filter.
     side : int
         1 behind the focus, -1 in front of it; for models that tell them apart.
@@ -142,19 +142,17 @@ def trace_psf(
     if isinstance(tracer, Painter):
         psf = tracer.paint(ranges, rays, seed)
     else:
-        pose = direction, direction_half_width
+        pose = angle, angle_half_width
         psf = draw_segments(tracer, ranges, pose, rays, seed)
     return crop(psf * (model.n_channels / psf.sum()))
 
 
-def psf_footprint(
-    model: PsfModel, box: npt.ArrayLike, *, direction: float, direction_half_width: float, side: int
-) -> float:
+def psf_footprint(model: PsfModel, box: npt.ArrayLike, *, angle: float, angle_half_width: float, side: int) -> float:
     """Return about how many pixels the PSF of a cell covers, without tracing it.
 
     Parameters
     ----------
-    model, box, direction, direction_half_width, side
+    model, box, angle, angle_half_width, side
         As for `trace_psf`.
 
     Returns
@@ -164,7 +162,7 @@ def psf_footprint(
     """
     ranges = _checked_box(model, box)
     tracer = REGISTRY[model.name].tracer(model, side)
-    return 1.0 if isinstance(tracer, Painter) else footprint(tracer, ranges, direction, direction_half_width)
+    return 1.0 if isinstance(tracer, Painter) else footprint(tracer, ranges, angle, angle_half_width)
 
 
 def _checked_box(model: PsfModel, box: npt.ArrayLike) -> DoubleArray:

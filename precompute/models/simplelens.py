@@ -29,7 +29,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
 
 
 def trace(
-    points: npt.NDArray[np.float64], box: npt.NDArray[np.float64], direction: float, direction_half_width: float
+    points: npt.NDArray[np.float64], box: npt.NDArray[np.float64], angle: float, angle_half_width: float
 ) -> Segments:
     """Turn points of the unit cube into chords of the lens.
 
@@ -38,7 +38,7 @@ def trace(
     points : ndarray of shape (n, N_DIMENSIONS), float64
     box : ndarray of shape (1, 2), float64
         Range of the circle of confusion's radius, px.
-    direction, direction_half_width : float
+    angle, angle_half_width : float
         Ignored: the PSF is round.
     """
     radius = tent(points[:, 1], *box[0])

@@ -164,7 +164,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     half = 0.5 * float(np.hypot(*light.shape[:2])) + 0.5 * max(light.shape[:2]) * float(np.abs(offset).max()) + 1.0
     along = np.linspace(-half, half, SAMPLES_PER_PIXEL * int(np.ceil(2.0 * half)) + 1)[None, :]
 
-    def trace(points: DoubleArray, box: DoubleArray, direction: float, direction_half_width: float) -> Segments:
+    def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
         across = half * (2.0 * points[:, :1] - 1.0)
         x = along * np.cos(LINE_ANGLE) - across * np.sin(LINE_ANGLE)
         y = along * np.sin(LINE_ANGLE) + across * np.cos(LINE_ANGLE)
@@ -211,7 +211,7 @@ def image_psf(model: PsfModel) -> Callable[[tuple[float, ...], float, int], Doub
     offset = float(model.settings["colour_offset"]) * np.array([1.0, 0.0, -1.0])
     radius = 0.5 * max(light.shape[:2])
 
-    def psf(coordinate: tuple[float, ...], direction: float, side: int) -> DoubleArray:
+    def psf(coordinate: tuple[float, ...], angle: float, side: int) -> DoubleArray:
         scale = coordinate[0] / radius
         half = math.ceil(reach(np.array([[0.0, coordinate[0]]]), light, offset) + 0.5)
         down = _areas(light.shape[0], half, scale, 0.0)

@@ -47,7 +47,7 @@ N_BLOCKS = 8
 """Images that are filled independently and then summed in order: the same sum for any number of threads."""
 
 
-def footprint(tracer: Tracer, box: DoubleArray, direction: float, direction_half_width: float) -> float:
+def footprint(tracer: Tracer, box: DoubleArray, angle: float, angle_half_width: float) -> float:
     """Return about how many pixels a PSF covers, without tracing it.
 
     Parameters
@@ -55,7 +55,7 @@ def footprint(tracer: Tracer, box: DoubleArray, direction: float, direction_half
     tracer : Tracer
     box : ndarray of shape (n_axes, 2), float64
         Range of each parameter, physical units.
-    direction, direction_half_width : float
+    angle, angle_half_width : float
         Radians.
 
     Returns
@@ -67,8 +67,8 @@ def footprint(tracer: Tracer, box: DoubleArray, direction: float, direction_half
     generators = _generators(tracer.n_dimensions - 1) if own is None else np.array(own)
     shift = np.full(tracer.n_dimensions, 0.5)
     points = kronecker(0, FOOTPRINT_POINTS, FOOTPRINT_POINTS, shift, generators)
-    segments = tracer.trace(points, box, direction, direction_half_width)
-    return _box_area(segments, direction) if len(segments.ends) else 1.0
+    segments = tracer.trace(points, box, angle, angle_half_width)
+    return _box_area(segments, angle) if len(segments.ends) else 1.0
 
 
 def draw_segments(
@@ -135,9 +135,9 @@ def _generators(n: int) -> DoubleArray:
     return np.asarray(ratio ** -np.arange(1.0, n + 1.0), dtype=np.float64)
 
 
-def _box_area(segments: Segments, direction: float) -> float:
+def _box_area(segments: Segments, angle: float) -> float:
     """Return the pixels of the smallest box along a direction that holds segments, with a margin of a pixel."""
-    along = np.array([math.cos(direction), math.sin(direction)])
+    along = np.array([math.cos(angle), math.sin(angle)])
     ends = segments.ends.reshape(-1, 2)
     length, width = (np.ptp(ends @ axis) + 3.0 for axis in (along, np.array([-along[1], along[0]])))
     return float(length * width)

@@ -38,7 +38,7 @@ class Tracer:
     n_dimensions : int
         Length of the points that ``trace`` takes. The first coordinate is the best distributed.
     trace : callable
-        ``(points, box, direction, direction_half_width) -> Segments``.
+        ``(points, box, angle, angle_half_width) -> Segments``.
     reach : callable
         ``(box) -> px``: no segment leaves the square of this half-side.
     symmetrise : callable

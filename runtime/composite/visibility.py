@@ -25,17 +25,17 @@ class ShareBeyond:
     kind = REST
     least = LEAST_SEEN
 
-    def __init__(self, passes: Sequence[Pixels], plan: Plan) -> None:
-        self.passes = list(zip(plan.members, [(each.radiance, each.weight) for each in passes], strict=True))
+    def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan) -> None:
+        self.pixel_sets = list(zip(plan.members, [(each.radiance, each.weight) for each in pixel_sets], strict=True))
         self.moments = layers.layer_moments(
-            [(each.labels, each.labels.path, members) for each, members in zip(passes, plan.members, strict=True)],
+            [(each.labels, each.labels.path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,
         )
 
     def seen(self, number: int) -> Image | None:
         """Return the share beyond a layer of what it leaves, all blurred as the layer is."""
         moments = self.moments[number]
-        return None if moments is None else layers.share_beyond(self.passes, number, moments)
+        return None if moments is None else layers.share_beyond(self.pixel_sets, number, moments)
 
 
 class PassingSamples:
@@ -45,7 +45,7 @@ class PassingSamples:
     least = LEAST_SAMPLES
 
     def __init__(
-        self, samples: SampleBuffer, camera: ThinLens, passes: Sequence[Pixels], plan: Plan, *, defocus: bool
+        self, samples: SampleBuffer, camera: ThinLens, pixel_sets: Sequence[Pixels], plan: Plan, *, defocus: bool
     ) -> None:
         self.members = []
         for number, members in enumerate(plan.members):
@@ -54,7 +54,7 @@ class PassingSamples:
             layer = np.where(met_nothing, np.int32(BEHIND_ALL), layer)
             self.members.append(members._replace(layer=layer))
         self.samples, self.camera = samples, camera
-        self.moments = self._moments(passes, plan.n_layers)
+        self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
             # They passed the layers through the lens that took them, even where its blur is taken out of the image.
             taken = self._moments(sample_pixels(samples, camera, defocus=True, motion=False), plan.n_layers)
@@ -63,10 +63,10 @@ class PassingSamples:
                 for mean, through in zip(self.moments, taken, strict=True)
             ]
 
-    def _moments(self, passes: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
+    def _moments(self, pixel_sets: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
         motion = np.ascontiguousarray(np.moveaxis(self.samples.motion, 2, 0))
         return layers.layer_moments(
-            [(each.labels, path, m) for each, path, m in zip(passes, motion, self.members, strict=True)], n_layers
+            [(each.labels, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
         )
 
     def seen(self, number: int) -> Image | None:
@@ -86,4 +86,4 @@ class PassingSamples:
         )
 
 
-View = ShareBeyond | PassingSamples
+Visibility = ShareBeyond | PassingSamples

@@ -5,6 +5,8 @@ loop serves any number of channels and a neighbouring pixel lies `C` floats away
 same instructions from the same inputs whichever thread owns it, so results do not depend on the number of threads.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
@@ -416,6 +418,23 @@ def _blend_rows(out, rows, position, n_coarse, taps):
         out[j] = w_0 * r_0[j] + w_1 * r_1[j] + w_2 * r_2[j] + w_3 * r_3[j]
 
 
+class Stretch(NamedTuple):
+    """A stretch of a row of an array: the row, its first element, their number."""
+
+    row: int
+    first: int
+    size: int
+
+
+class ThreeRows(NamedTuple):
+    """A row and its neighbours in an array; the element one pixel to the left of the first that is written."""
+
+    above: int
+    row: int
+    below: int
+    first: int
+
+
 @helper(fastmath=FASTMATH)
 def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
     """One Jacobi step on a row: `out = row + weight * (Lap row - source)`.
@@ -424,23 +443,22 @@ def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
 
     Parameters
     ----------
-    out : ndarray of 2 axes, with (row, first, count) in `out_at`
-    rows : ndarray of 2 axes, with (row above, row, row below, first) in `at`
-        `first` is one pixel to the left of the first that is written.
-    source : ndarray of 2 axes, with (row, first, count) in `source_at`
+    out, out_at : ndarray of 2 axes, and Stretch
+    rows, at : ndarray of 2 axes, and ThreeRows
+    source, source_at : ndarray of 2 axes, and Stretch
         The count may be less than that of `out`; the source is zero from there on.
     weight : float
     step : int
         Elements in a pixel.
     """
-    above, row, below = rows[at[0]][at[3] + step :], rows[at[1]][at[3] :], rows[at[2]][at[3] + step :]
+    above, row, below = rows[at.above][at.first + step :], rows[at.row][at.first :], rows[at.below][at.first + step :]
     centre, right = row[step:], row[2 * step :]
-    target, own = out[out_at[0]][out_at[1] :], source[source_at[0]][source_at[1] :]
+    target, own = out[out_at.row][out_at.first :], source[source_at.row][source_at.first :]
     four = np.float32(4)
-    for j in range(source_at[2]):
+    for j in range(source_at.size):
         around = (row[j] + right[j]) + (above[j] + below[j])
         target[j] = centre[j] + weight * (around - four * centre[j] - own[j])
-    for j in range(max(source_at[2], 0), out_at[2]):
+    for j in range(max(source_at.size, 0), out_at.size):
         around = (row[j] + right[j]) + (above[j] + below[j])
         target[j] = centre[j] + weight * (around - four * centre[j])
 
@@ -487,13 +505,16 @@ def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, s
             below = slot + (i + 1) % 3 if i + 1 < height else 0
             known = source.shape[1] if i < source.shape[0] else 0
             if step < n_steps:
-                at, to = (above, slot + i % 3, below, np.int64(0)), (slot + 3 + i % 3, n_channels, count)
-                known_at = (min(i, source.shape[0] - 1), begin, min(known - begin, count))
+                at, to = (
+                    ThreeRows(above, slot + i % 3, below, np.int64(0)),
+                    Stretch(slot + 3 + i % 3, n_channels, count),
+                )
+                known_at = Stretch(min(i, source.shape[0] - 1), begin, min(known - begin, count))
                 _relax_row(scratch, to, scratch, at, source, known_at, weights[step - 1], n_channels)
             else:
                 first, last = first_pixel * n_channels, end_pixel * n_channels
-                at, to = (above, slot + i % 3, below, first - begin), (i, first, last - first)
-                known_at = (min(i, source.shape[0] - 1), first, min(known, last) - first)
+                at, to = ThreeRows(above, slot + i % 3, below, first - begin), Stretch(i, first, last - first)
+                known_at = Stretch(min(i, source.shape[0] - 1), first, min(known, last) - first)
                 _relax_row(out, to, scratch, at, source, known_at, weights[step - 1], n_channels)
                 largest = max(largest, _largest_magnitude(out[i, first:last]))
     return largest

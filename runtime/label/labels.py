@@ -9,7 +9,7 @@ import numpy as np
 
 from spreadlets.arrays import DoubleArray, FloatArray
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf.model import Angle, PsfModel
+from spreadlets.psf.model import Heading, PsfModel
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.raster import Raster
 
@@ -120,7 +120,7 @@ COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
 }
 """The coordinate (H, W) on each axis, by its name, in the axis's unit; its sign has no meaning."""
 
-DIRECTIONS: dict[Angle, Callable[[Labels], FloatArray]] = {
+HEADINGS: dict[Heading, Callable[[Labels], FloatArray]] = {
     "motion": lambda labels: labels.path,
     "azimuth": lambda labels: labels.view.block_position(),
 }

@@ -1,4 +1,4 @@
-"""Labelled pixels: what a frame or a buffer of samples gives to draw, as passes of one label for each pixel."""
+"""Labelled pixels: what a frame or a buffer of samples gives to draw, as sets of one label for each pixel."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool,
     each chord they would be ghosts.
     """
     blurred = defocus or (motion and layer.has_motion)
-    passes = []
+    pixel_sets = []
     for surface, share in split_surfaces(layer, camera) if blurred else ((layer, None),):
         straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
         for labels, weight in _along_paths(surface, camera, straight, motion and curved):
             weights = [each for each in (share, weight) if each is not None]
-            passes.append(Pixels(surface.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
-    return passes
+            pixel_sets.append(Pixels(surface.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
+    return pixel_sets
 
 
 def _along_paths(
@@ -116,15 +116,15 @@ def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, mot
     Splats are centred where the sample would lie without lens, at mid-shutter (LKS section 6.2, "Stochastic
     frame-buffers"); an effect that is off has parameter 0 and is so undone.
     """
-    passes = []
+    pixel_sets = []
     for number in range(samples.n_samples):
         labels = _sample_labels(samples, camera, number)
         if not defocus:
             labels = labels._replace(coc=np.zeros_like(labels.coc))
         if not motion:
             labels = labels._replace(path=np.zeros_like(labels.path), length=np.zeros_like(labels.length))
-        passes.append(Pixels(np.ascontiguousarray(samples.radiance[:, :, number]), labels))
-    return passes
+        pixel_sets.append(Pixels(np.ascontiguousarray(samples.radiance[:, :, number]), labels))
+    return pixel_sets
 
 
 def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labels:

@@ -1,8 +1,29 @@
 """Compiled kernels that continue a frame beyond its border."""
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
+
+
+class Colours(NamedTuple):
+    """What lies beyond each side of a frame, shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32."""
+
+    above: Image
+    below: Image
+    left: Image
+    right: Image
+
+
+class Weighted(NamedTuple):
+    """Pixels: colours (H, W, 4), float32; weights (H, W), or (0, 0) if all are 1, float32; labels (H, W), int32."""
+
+    radiance: Image
+    weight: Image
+    label: npt.NDArray[np.int32]
 
 
 @helper
@@ -49,54 +70,50 @@ def border_colours(strip, half, colour):
 @helper
 def colour_beyond(colours, down, right, row, col):
     """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
-    above, below, before, behind = colours
     if down < row:
-        return above[col]
+        return colours.above[col]
     if down > row:
-        return below[col]
-    return before[row] if right < col else behind[row]
+        return colours.below[col]
+    return colours.left[row] if right < col else colours.right[row]
 
 
 @kernel
-def extend_frame(begin, end, frame, colours, reach, origin, extended):
+def extend_frame(begin, end, frame, colours, reach, origin, radiance, label):
     """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
 
     Parameters
     ----------
-    frame : tuple of three ndarrays
-        Colours (H, W, 4), float32; weights (H, W) or (0, 0), float32; labels (H, W), int32.
-    colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
-        What lies above, below, left and right of the frame.
+    frame : Weighted
+    colours : Colours
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
     origin : tuple of two ints
         Row and column, in the frame, of the first extended pixel.
-    extended : tuple of two ndarrays
+    radiance, label : ndarray of shapes (h, w, 4), float32, and (h, w), int32
         Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours stay as
         they were.
     """
-    radiance, share, label = frame
-    out_radiance, out_label = extended
-    height, width = label.shape
+    share = frame.weight
+    height, width = frame.label.shape
     for i in range(begin, end):
         down = origin[0] + i
         row = min(max(down, 0), height - 1)
-        for j in range(out_label.shape[1]):
+        for j in range(label.shape[1]):
             right = origin[1] + j
             col = min(max(right, 0), width - 1)
-            index = label[row, col]
+            index = frame.label[row, col]
             weight = share[row, col] if share.shape[0] else np.float32(1.0)
             distance = max(abs(down - row), abs(right - col))
             if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
-                out_label[i, j] = -1
+                label[i, j] = -1
                 continue
             if distance == 0:
-                out_label[i, j] = index
+                label[i, j] = index
                 for c in range(4):
-                    out_radiance[i, j, c] = weight * radiance[row, col, c]
+                    radiance[i, j, c] = weight * frame.radiance[row, col, c]
                 continue
             colour = colour_beyond(colours, down, right, row, col)
             dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
-            out_label[i, j] = -1 if dark else index
+            label[i, j] = -1 if dark else index
             for c in range(4):
-                out_radiance[i, j, c] = weight * colour[c]
+                radiance[i, j, c] = weight * colour[c]

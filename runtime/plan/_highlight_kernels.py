@@ -1,9 +1,11 @@
 """Compiled kernels of highlights: which pixels stand out, and the steps to which their labels are rounded."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._display_kernels import display_slope
 
@@ -16,6 +18,35 @@ EDGE_WIDTH = 3
 """How wide the edge of a lamp may be, px: filters of renderers reach about so far."""
 COLUMNS = 64
 """Columns that are summed down together: they share their lines of the cache."""
+
+
+class CodedLabels(NamedTuple):
+    """Signed CoC radius (H, W) and length of the path (H, W), px; headings (H, W, 2), px, for directions."""
+
+    coc: FloatArray
+    length: FloatArray
+    heading: FloatArray
+
+
+class CodeSteps(NamedTuple):
+    """How labels are rounded.
+
+    Attributes
+    ----------
+    radius : float
+        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root.
+    longest : float
+        Longest step of the heading, px.
+    thin_radius : float
+        CoC radius, px, below which it is half as long.
+    sided : bool
+        Whether the sides of the focus differ.
+    """
+
+    radius: float
+    longest: float
+    thin_radius: float
+    sided: bool
 
 
 @kernel
@@ -167,36 +198,30 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
         See `runtime.plan._plan_kernels.variant_keys`: pixels that are invisible are none.
     excess : ndarray of shape (H, W), float32
         See `standing_out`.
-    labels : tuple of three ndarrays
-        Signed CoC radius (H, W) and length of the path (H, W), px; heading (H, W, 2), px: where the PSF's direction
-        comes from.
-    steps : tuple
-        Steps of the CoC radius up to 1 px, as many up to 4 px, and so on with its square root; longest step of the
-        heading, px;
-        CoC radius below which it is half as long; whether the sides of the focus differ.
+    labels : CodedLabels
+    steps : CodeSteps
     limits : tuple of two floats
         Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
     code : ndarray of shape (H, W), int64
         Filled; `NOT_ALONE` where the pixel is no highlight.
     """
-    coc, length, heading = labels
-    radius_steps, longest_step, thin_radius, sided = steps
     for row in range(begin, end):
         for col in range(key.shape[1]):
             code[row, col] = NOT_ALONE
             if key[row, col] < 0 or excess[row, col] == 0.0:
                 continue
-            radius = abs(np.float64(coc[row, col]))
-            area = max(math.pi * radius * radius + 2.0 * radius * np.float64(length[row, col]), 1.0)
+            radius = abs(np.float64(labels.coc[row, col]))
+            area = max(math.pi * radius * radius + 2.0 * radius * np.float64(labels.length[row, col]), 1.0)
             if excess[row, col] <= limits[0] * area or area > limits[1]:
                 continue
-            n_steps = np.int64(radius_steps * math.sqrt(radius) + 0.5)
-            step_px = 0.5 * longest_step if (n_steps / radius_steps) ** 2 < thin_radius else longest_step
+            n_steps = np.int64(steps.radius * math.sqrt(radius) + 0.5)
+            is_thin = (n_steps / steps.radius) ** 2 < steps.thin_radius
+            step_px = 0.5 * steps.longest if is_thin else steps.longest
             packed = 2 * n_steps
-            if sided and coc[row, col] < 0.0:
+            if steps.sided and labels.coc[row, col] < 0.0:
                 packed += 1
             for axis in range(2):
-                place = np.float64(heading[row, col, axis]) / step_px
+                place = np.float64(labels.heading[row, col, axis]) / step_px
                 # Halves away from 0: mirror images are rounded to mirror images.
                 step = np.int64(math.copysign(math.floor(abs(place) + 0.5), place))
                 packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)

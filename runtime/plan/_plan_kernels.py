@@ -1,9 +1,12 @@
 """Compiled kernels of the plan step: labels to variants, and points of variants."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 
@@ -12,13 +15,52 @@ SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 
 
+class GridTables(NamedTuple):
+    """The grid of a database: ``remap``, ``shape`` and ``unit_cell`` of the model's; ``cell_start`` of the file."""
+
+    remap: npt.NDArray[np.float64]
+    shape: npt.NDArray[np.int64]
+    unit_cell: npt.NDArray[np.int64]
+    cell_start: npt.NDArray[np.int64]
+
+
+class Sizes(NamedTuple):
+    """How PSFs beyond the grid's range are scaled, and which stay within a pixel.
+
+    Attributes
+    ----------
+    steps_per_octave, n_steps : int
+        Scale steps.
+    scaling : ndarray of shape (n_axes,), bool
+        Which axes scale the PSF.
+    share : ndarray of shape (n_axes,), float64
+        How much of each coordinate adds to the PSF's extent.
+    sharp_extent : float
+        The extent, px, up to which the key is `SHARP`.
+    """
+
+    steps_per_octave: int
+    n_steps: int
+    scaling: npt.NDArray[np.bool_]
+    share: npt.NDArray[np.float64]
+    sharp_extent: float
+
+
+class PoseLabels(NamedTuple):
+    """Vectors (dx, dy) for directions, (H, W, 2); signed CoC radii, (H, W); the model's `PoseSymmetry.codes`."""
+
+    heading: FloatArray
+    coc: FloatArray
+    codes: tuple[bool, bool, int]
+
+
 @helper(inline="always")
-def _scale_step(excess, steps_per_octave, n_scales):
+def _scale_step(excess, steps_per_octave, n_steps):
     """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
     if not excess > 1.0:
         return 0
-    if excess > 2.0 ** ((n_scales - 1) / steps_per_octave):
-        return n_scales - 1
+    if excess > 2.0 ** ((n_steps - 1) / steps_per_octave):
+        return n_steps - 1
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
@@ -34,7 +76,7 @@ def _same(coordinate, heading, coc, row, col):
 
 
 @kernel
-def variant_keys(begin, end, colour, coordinate, pose, grid, scales, key, excess):
+def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess):
     """Map the labels of each pixel to the key of its variant.
 
     Parameters
@@ -43,14 +85,9 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, scales, key, excess
         Colours and weights; no weights means 1. Pixels of zero colour and alpha, or weight, get the key `INVISIBLE`.
     coordinate : tuple of n_axes ndarrays of shape (H, W), float32
         Physical coordinates; their signs are ignored.
-    pose : tuple
-        Vector (dx, dy) whose direction is used, (H, W, 2) float32; signed CoC radius, (H, W) float32; and the model's
-        `PoseSymmetry.codes`.
-    grid : tuple of ndarrays
-        ``remap`` and ``shape`` of the model's grid, its ``unit_cell``; ``cell_start`` of the database.
-    scales : tuple
-        Scale steps per octave; number of scale steps; which axes scale the PSF, (n_axes,) bool; how much of each
-        coordinate adds to the PSF's extent, (n_axes,) float64; and the extent up to which the key is `SHARP`.
+    pose : PoseLabels
+    grid : GridTables
+    sizes : Sizes
     key : ndarray of shape (H, W), int64
         Filled with ``1 + (scale step * n_spreadlets + spreadlet) * 8 + orientation``.
     excess : ndarray of shape (H, 3), float64
@@ -58,11 +95,9 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, scales, key, excess
         largest scale step.
     """
     radiance, weight = colour
-    remap, shape, unit_cell, cell_start = grid
-    steps_per_octave, n_scales, scaling, share, sharp_extent = scales
-    heading, coc, (arrow, lattice, sign) = pose
-    n_axes = len(remap)
-    n_spreadlets = cell_start[-1]
+    heading, coc = pose.heading, pose.coc
+    n_axes = len(grid.remap)
+    n_spreadlets = grid.cell_start[-1]
     for row in range(begin, end):
         excess[row] = 0.0
         for col in range(radiance.shape[1]):
@@ -78,32 +113,31 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, scales, key, excess
             factor = 0.0
             for axis in range(n_axes):
                 size = abs(np.float64(coordinate[axis][row, col]))
-                extent += share[axis] * size
-                if scaling[axis]:
-                    factor = max(factor, size / remap[axis, 0])
-            if extent <= sharp_extent:
+                extent += sizes.share[axis] * size
+                if sizes.scaling[axis]:
+                    factor = max(factor, size / grid.remap[axis, 0])
+            if extent <= sizes.sharp_extent:
                 key[row, col] = SHARP
                 continue
             step = 0
             shrink = 1.0
             if factor > 1.0:
-                step = _scale_step(factor, steps_per_octave, n_scales)
-                shrink = 2.0 ** (-step / steps_per_octave)
+                step = _scale_step(factor, sizes.steps_per_octave, sizes.n_steps)
+                shrink = 2.0 ** (-step / sizes.steps_per_octave)
                 excess[row, 0] = max(excess[row, 0], factor)
                 excess[row, 1] += 1
                 excess[row, 2] = max(excess[row, 2], step)
             unit = 0
             for axis in range(n_axes):
-                size = abs(np.float64(coordinate[axis][row, col])) * (shrink if scaling[axis] else 1.0)
-                place = int(grid_coordinate(size, remap[axis], shape[axis]))
-                unit = unit * shape[axis] + min(place, shape[axis] - 1)
-            cell = unit_cell[unit]
-            n_poses = cell_start[cell + 1] - cell_start[cell]
+                size = abs(np.float64(coordinate[axis][row, col])) * (shrink if sizes.scaling[axis] else 1.0)
+                place = int(grid_coordinate(size, grid.remap[axis], grid.shape[axis]))
+                unit = unit * grid.shape[axis] + min(place, grid.shape[axis] - 1)
+            cell = grid.unit_cell[unit]
+            n_poses = grid.cell_start[cell + 1] - grid.cell_start[cell]
             angle = math.atan2(heading[row, col, 1], heading[row, col, 0]) if n_poses > 1 else 0.0
-            codes = arrow, lattice, sign
-            number, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, codes)
+            number, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, pose.codes)
             orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
-            key[row, col] = 1 + 8 * (step * n_spreadlets + cell_start[cell] + number) + orientation
+            key[row, col] = 1 + 8 * (step * n_spreadlets + grid.cell_start[cell] + number) + orientation
 
 
 @kernel

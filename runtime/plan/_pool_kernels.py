@@ -1,13 +1,54 @@
 """Compiled kernels that sort the splats of stochastic samples by place and PSF, and add up those that agree."""
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._border_kernels import colour_beyond
 
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
+
+
+class Splats(NamedTuple):
+    """A list of splats: labels (n,) and columns (n,), int32; weighted colours (n, 4), float32."""
+
+    label: npt.NDArray[np.int32]
+    col: npt.NDArray[np.int32]
+    radiance: Image
+
+
+class Stepped(NamedTuple):
+    """Pixels: colours (H, W, 4), float32; weights and labels (H, W); steps (H, W, 2) of `place_steps`."""
+
+    radiance: Image
+    weight: Image
+    label: npt.NDArray[np.int32]
+    steps: npt.NDArray[np.int32]
+
+
+class Pooled(NamedTuple):
+    """Sums of splats as if all were one row of pixels: colours (m, 4); labels (m,), int32; shifts (m, 2), int32.
+
+    A shift holds the row, and the column less the place in the list.
+    """
+
+    radiance: Image
+    label: npt.NDArray[np.int32]
+    shift: npt.NDArray[np.int32]
+
+
+class Sides(NamedTuple):
+    """By how many pixels a frame is continued on each side."""
+
+    above: int
+    below: int
+    left: int
+    right: int
 
 
 @kernel
@@ -42,12 +83,9 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
 
     Parameters
     ----------
-    pixels : tuple of four ndarrays
-        Colours (H, W, 4), float32; weights (H, W), float32; labels (H, W), int32; steps (H, W, 2) of `place_steps`.
-    colours : tuple of four ndarrays of shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32
-        What lies above, below, left and right of the frame.
-    padding : tuple of four ints
-        By how many pixels the frame is continued above, below, left and right.
+    pixels : Stepped
+    colours : Colours
+    padding : Sides
     reach : ndarray of shape (n_variants,), int64
         How far each variant reaches from its centre, px.
     first_row : int
@@ -55,27 +93,25 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
     at : ndarray of shape (n_chunks, n_rows), int64
         For each chunk of the frame's rows and each row of splats, where the next splat goes in the list; increased.
         From zeros on, it counts.
-    splats : tuple of three ndarrays
-        Labels (n,), int32; columns (n,), int32; weighted colours (n, 4), float32; filled, or empty just to count.
+    splats : Splats
+        Filled, or empty just to count.
     """
-    radiance, weight, label, steps = pixels
-    top, bottom, left, right = padding
-    out_label, out_col, out_radiance = splats
-    filling = len(out_label) > 0
+    label, steps = pixels.label, pixels.steps
+    filling = len(splats.label) > 0
     height, width = label.shape
-    rows, cols = top + height + bottom, left + width + right
+    rows, cols = padding.above + height + padding.below, padding.left + width + padding.right
     n_chunks = len(at)
     for chunk in range(begin, end):
         for i in range(chunk * rows // n_chunks, (chunk + 1) * rows // n_chunks):
-            down = i - top
+            down = i - padding.above
             row = min(max(down, 0), height - 1)
             for j in range(cols):
-                across = j - left
+                across = j - padding.left
                 col = min(max(across, 0), width - 1)
                 index = label[row, col]
                 if index < 0:
                     continue
-                colour = radiance[row, col]
+                colour = pixels.radiance[row, col]
                 if down != row or across != col:
                     colour = colour_beyond(colours, down, across, row, col)
                 if colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0:
@@ -93,11 +129,11 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
                             share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
                                 STEPS_PER_PIXEL - part_x if x == first_x else part_x
                             )
-                            part = weight[row, col] * np.float32(share / STEPS_PER_PIXEL**2)
-                            out_label[place] = index
-                            out_col[place] = x
+                            part = pixels.weight[row, col] * np.float32(share / STEPS_PER_PIXEL**2)
+                            splats.label[place] = index
+                            splats.col[place] = x
                             for c in range(4):
-                                out_radiance[place, c] = part * colour[c]
+                                splats.radiance[place, c] = part * colour[c]
 
 
 @helper
@@ -152,29 +188,26 @@ def add_up(begin, end, splats, order, row_start, place_start, first, pooled):
 
     Parameters
     ----------
-    splats : tuple of three ndarrays
-        As for `list_splats`.
+    splats : Splats
     order, row_start : ndarray
         See `sort_rows`.
     place_start : ndarray of shape (n_rows + 1,), int64
         Where the sums of each row go.
     first : tuple of two ints
         Row and column in the frame of row 0 and column 0.
-    pooled : tuple of three ndarrays
-        Colours (m, 4), float32; labels (m,), int32; and shifts (m, 2), int32: row, and column less the place in the
-        list, as if all were one row of pixels. Filled.
+    pooled : Pooled
+        Filled.
     """
-    label, col, radiance = splats
-    out_radiance, out_label, out_shift = pooled
+    label, col = splats.label, splats.col
     for row in range(begin, end):
         place = place_start[row] - 1
         for k in range(row_start[row], row_start[row + 1]):
             i, j = order[k], order[k - 1]
             if k == row_start[row] or label[i] != label[j] or col[i] != col[j]:
                 place += 1
-                out_label[place] = label[i]
-                out_shift[place, 0] = first[0] + row
-                out_shift[place, 1] = first[1] + col[i] - place
-                out_radiance[place] = np.float32(0.0)
+                pooled.label[place] = label[i]
+                pooled.shift[place, 0] = first[0] + row
+                pooled.shift[place, 1] = first[1] + col[i] - place
+                pooled.radiance[place] = np.float32(0.0)
             for c in range(4):
-                out_radiance[place, c] += radiance[i, c]
+                pooled.radiance[place, c] += splats.radiance[i, c]

@@ -8,9 +8,8 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.plan import _border_kernels
+from spreadlets.runtime.plan._border_kernels import Colours, Weighted
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
-
-Colours = tuple[Image, Image, Image, Image]
 
 BORDER_STRIP = 8
 """Depth, px, of the strip along a border whose median colour continues the frame."""
@@ -31,7 +30,7 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
         Weight of each pixel; empty if all are 1.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches from its pixel, px.
-    colours : tuple of ndarrays or None
+    colours : Colours or None
         What lies beyond the border, see `border_colours`; None to end there.
 
     Returns
@@ -55,17 +54,18 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
     for_bands(
         _border_kernels.extend_frame,
         shape[0],
-        (frame.radiance, share, frame.label),
-        colours or (nothing, nothing, nothing, nothing),
+        Weighted(frame.radiance, share, frame.label),
+        colours or Colours(nothing, nothing, nothing, nothing),
         reach,
         extended.origin,
-        (extended.radiance, extended.label),
+        extended.radiance,
+        extended.label,
     )
     return extended
 
 
 def border_colours(radiance: Image) -> Colours:
-    """Return the robust colours along the top, bottom, left and right border, shapes (W, 4) and (H, 4).
+    """Return the robust colours along each side of the border.
 
     A plain repetition would turn a highlight at the border into a streak of highlights outside, and its bokeh would
     grow brighter towards the border; the median leaves it out.
@@ -75,4 +75,4 @@ def border_colours(radiance: Image) -> Colours:
     for side in (radiance[:BORDER_STRIP], radiance[-BORDER_STRIP:], turned[:BORDER_STRIP], turned[-BORDER_STRIP:]):
         colours.append(np.empty((side.shape[1], 4), np.float32))
         _border_kernels.border_colours(np.ascontiguousarray(side), BORDER_MEDIAN // 2, colours[-1])
-    return colours[0], colours[1], colours[2], colours[3]
+    return Colours(*colours)

@@ -23,11 +23,11 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading_steps, longest_step
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.label.labels import DIRECTIONS
+from spreadlets.runtime.label.labels import HEADINGS
 from spreadlets.runtime.label.pixels import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
-from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE
+from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE, CodedLabels, CodeSteps
 from spreadlets.runtime.plan._plan_kernels import INVISIBLE, SHARP
 from spreadlets.runtime.plan.layering import Membership
 from spreadlets.runtime.splat.passes import PointTable, SplatPass
@@ -61,13 +61,13 @@ class Highlights(NamedTuple):
     number: list[npt.NDArray[np.int32]]
     psfs: list[Spreadlet]
 
-    def dimmed(self, passes: Sequence[Pixels]) -> list[Pixels]:
-        """Return the passes without the colours of highlights; their alpha stays."""
-        return [_dimmed(pixels, number >= 0) for pixels, number in zip(passes, self.number, strict=True)]
+    def dimmed(self, pixel_sets: Sequence[Pixels]) -> list[Pixels]:
+        """Return the sets without the colours of highlights; their alpha stays."""
+        return [_dimmed(pixels, number >= 0) for pixels, number in zip(pixel_sets, self.number, strict=True)]
 
     def splats(
         self,
-        passes: Sequence[Pixels],
+        pixel_sets: Sequence[Pixels],
         members: Sequence[Membership],
         table: PointTable,
         first_variant: int,
@@ -77,7 +77,7 @@ class Highlights(NamedTuple):
 
         Parameters
         ----------
-        passes : sequence of Pixels
+        pixel_sets : sequence of Pixels
         members : sequence of Membership
             The layers of their pixels.
         table : PointTable
@@ -88,7 +88,7 @@ class Highlights(NamedTuple):
         """
         lights = [
             _Lights.of(pixels, member, np.where(number < 0, -1, number + first_variant))
-            for pixels, member, number in zip(passes, members, self.number, strict=True)
+            for pixels, member, number in zip(pixel_sets, members, self.number, strict=True)
             if (number >= 0).any()
         ]
         if not lights:
@@ -100,7 +100,7 @@ class Highlights(NamedTuple):
 
 
 def find_highlights(
-    passes: Sequence[Pixels],
+    pixel_sets: Sequence[Pixels],
     keys: Sequence[IntArray],
     model: PsfModel,
     exact_psf: ExactPsf | None,
@@ -111,7 +111,7 @@ def find_highlights(
 
     Parameters
     ----------
-    passes : sequence of Pixels
+    pixel_sets : sequence of Pixels
     keys : sequence of ndarrays of shape (H, W), int64
         The variant of each pixel of a pass, see `runtime.plan._plan_kernels.variant_keys`.
     model : PsfModel
@@ -122,12 +122,12 @@ def find_highlights(
     """
     if exact_psf is None:
         return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
-    lights = _lights(passes, stochastic)
-    found = zip(passes, keys, lights, strict=True)
+    lights = _lights(pixel_sets, stochastic)
+    found = zip(pixel_sets, keys, lights, strict=True)
     codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
-    codes = _from_sources(passes, keys, codes, lights)
+    codes = _from_sources(pixel_sets, keys, codes, lights)
     used, number = _numbered(codes)
-    view = passes[0].labels.view
+    view = pixel_sets[0].labels.view
     coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
     return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
 
@@ -203,18 +203,18 @@ class _Lights(NamedTuple):
 
 
 class _Light(NamedTuple):
-    """What the colours of some passes say: how far each pixel stands out, and where its light is from."""
+    """What the colours of some sets say: how far each pixel stands out, and where its light is from."""
 
     excess: FloatArray
     source: IntArray
     """See the kernels; each (H, W)."""
 
 
-def _lights(passes: Sequence[Pixels], stochastic: bool) -> list[_Light]:
-    """Return what the colours of each pass say; passes often share them."""
-    colours = {id(pixels.radiance): pixels.radiance for pixels in passes}
+def _lights(pixel_sets: Sequence[Pixels], stochastic: bool) -> list[_Light]:
+    """Return what the colours of each set say; sets often share them."""
+    colours = {id(pixels.radiance): pixels.radiance for pixels in pixel_sets}
     found = {key: _light(radiance, stochastic) for key, radiance in colours.items()}
-    return [found[id(pixels.radiance)] for pixels in passes]
+    return [found[id(pixels.radiance)] for pixels in pixel_sets]
 
 
 def _light(radiance: Image, stochastic: bool) -> _Light:
@@ -234,7 +234,7 @@ def _light(radiance: Image, stochastic: bool) -> _Light:
 
 
 def _from_sources(
-    passes: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
+    pixel_sets: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
 ) -> list[IntArray]:
     """Give the edges of lamps the codes of what their light is from, in whichever pass that is drawn."""
     changed = []
@@ -245,7 +245,7 @@ def _from_sources(
         # What stays sharp needs no PSF of its own, save for the light that is another's.
         best[(source == at) & (key.ravel()[at] == SHARP)] = NOT_ALONE
         edges = source != at
-        for pixels, other, known, shared in zip(passes, keys, codes, lights, strict=True):
+        for pixels, other, known, shared in zip(pixel_sets, keys, codes, lights, strict=True):
             if shared is not light or not edges.any():
                 continue
             weight = np.where(other.ravel()[source] == INVISIBLE, np.float32(0.0), np.float32(1.0))
@@ -270,12 +270,13 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -
     labels, code = pixels.labels, np.empty(key.shape, np.int64)
     nothing = np.zeros((), np.float32)
     length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
-    heading = DIRECTIONS[model.symmetry.angle](labels) if model.has_direction else nothing
+    heading = HEADINGS[model.symmetry.heading](labels) if model.has_direction else nothing
     heading = np.broadcast_to(heading, (*key.shape, 2))
-    steps = RADIUS_STEPS, longest_step(model, key.shape[1]), THIN_RADIUS_PX, model.symmetry.sign != "ignored"
-    shape = labels.coc, length, heading
+    sided = model.symmetry.sign != "ignored"
+    steps = CodeSteps(RADIUS_STEPS, longest_step(model, key.shape[1]), THIN_RADIUS_PX, sided)
+    coded = CodedLabels(labels.coc, length, heading)
     limits = LEAST_CHANGE, float(LARGEST_AREA)
-    for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, shape, steps, limits, code)
+    for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, coded, steps, limits, code)
     return code
 
 

@@ -69,17 +69,17 @@ class Layering:
         return len(self.cuts) + 1
 
     @classmethod
-    def equal(cls, passes: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
-        """Divide the range of depths of some passes, each with labels and variants, into equal layers."""
-        return cls._of_borders(np.linspace(*_range(passes), n_layers + 1), softness)
+    def equal(cls, labelled: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
+        """Divide the range of depths of some pixels, sets of labels and variants, into equal layers."""
+        return cls._of_borders(np.linspace(*_range(labelled), n_layers + 1), softness)
 
     @classmethod
-    def fitted(cls, passes: Sequence[Labelled], most: int, softness: float) -> Layering:
-        """Cut the range of depths of some passes, at most so many layers, where surfaces meet that blur differently."""
-        low, high = _range(passes)
+    def fitted(cls, labelled: Sequence[Labelled], most: int, softness: float) -> Layering:
+        """Cut the range of depths of some pixels, at most so many layers, where surfaces meet that blur differently."""
+        low, high = _range(labelled)
         if most == 1 or not high > low:
             return cls()
-        cuts = best_cuts(find_steps(passes, low, high, N_STEPS), most)
+        cuts = best_cuts(find_steps(labelled, low, high, N_STEPS), most)
         borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])
         return cls._of_borders(borders, softness)
 
@@ -101,22 +101,22 @@ class Layering:
         return Membership(variant, layer, farther)
 
 
-def _range(passes: Sequence[Labelled]) -> tuple[float, float]:
+def _range(labelled: Sequence[Labelled]) -> tuple[float, float]:
     """Return the range of ``-1 / depth`` of the drawn pixels, without a few that lie far off."""
-    bounds = [np.empty((len(variant), 2), np.float64) for _, variant in passes]
-    for (labels, variant), found in zip(passes, bounds, strict=True):
+    bounds = [np.empty((len(variant), 2), np.float64) for _, variant in labelled]
+    for (labels, variant), found in zip(labelled, bounds, strict=True):
         for_bands(_layer_kernels.nearness_range, len(found), labels.view.depth, variant, found)
     low, high = min(float(each[:, 0].min()) for each in bounds), max(float(each[:, 1].max()) for each in bounds)
     if not high > low:
         return 0.0, 0.0
-    inner = _inner_range(passes)
+    inner = _inner_range(labelled)
     return inner if high - low > STRAY_STRETCH * (inner[1] - inner[0]) > 0.0 else (low, high)
 
 
-def _inner_range(passes: Sequence[Labelled]) -> tuple[float, float]:
+def _inner_range(labelled: Sequence[Labelled]) -> tuple[float, float]:
     """Return the range of ``-1 / depth`` without a small share of the drawn pixels at either end."""
     found = []
-    for labels, variant in passes:
+    for labels, variant in labelled:
         step = max(1, math.isqrt(variant.size // RANGE_PIXELS))
         depth = labels.view.depth[::step, ::step]
         found.append(-1.0 / depth[variant[::step, ::step] >= 0].astype(np.float64))

@@ -15,12 +15,14 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
-from spreadlets.runtime.label.labels import DIRECTIONS, EXTENT_SHARES, Labels, coordinates, ignored_effects
+from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.pixels import Pixels, frame_pixels
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
-from spreadlets.runtime.plan.border import Colours, border_colours, extended_pass
-from spreadlets.runtime.plan.highlights import find_highlights
+from spreadlets.runtime.plan._border_kernels import Colours
+from spreadlets.runtime.plan._plan_kernels import GridTables, PoseLabels, Sizes
+from spreadlets.runtime.plan.border import border_colours, extended_pass
+from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
@@ -96,6 +98,31 @@ class Plan:
         }
 
 
+class _Choice(NamedTuple):
+    """The PSFs of some sets of pixels.
+
+    Attributes
+    ----------
+    indices : list of ndarray of shape (H, W), int32
+        For each set, the number of each pixel's variant; -1 where nothing is drawn.
+    variants : list of Variant
+    highlights : Highlights
+    table : PointTable
+        As in `Plan`.
+    spike_of : ndarray of shape (table.n_variants,), int32
+        Which variant draws the spike of each; -1 if it has none.
+    variation : ndarray of shape (table.n_variants,), float32
+        Total variation of each PSF, see `_variation`.
+    """
+
+    indices: list[npt.NDArray[np.int32]]
+    variants: list[Variant]
+    highlights: Highlights
+    table: PointTable
+    spike_of: npt.NDArray[np.int32]
+    variation: npt.NDArray[np.float32]
+
+
 class _Part(NamedTuple):
     """The part of some pixels that lies in the nearer or in the farther of their layers."""
 
@@ -113,12 +140,12 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
         for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
-            needed |= {(variant.cell, variant.direction) for variant in variants if variant != SHARP}
+            needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
 
 
 def plan_pixels(
-    passes: Sequence[Pixels],
+    pixel_sets: Sequence[Pixels],
     database: Database,
     options: Options,
     n_layers: int,
@@ -132,7 +159,7 @@ def plan_pixels(
 
     Parameters
     ----------
-    passes : sequence of Pixels
+    pixel_sets : sequence of Pixels
         Each with one label for each pixel.
     database : Database
     options : Options
@@ -152,43 +179,93 @@ def plan_pixels(
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
-    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in passes), strict=True)
+    chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
+    n_layers, members = _assign(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+    tolerance = 0.0 if dense_psf else options.tolerance
+    sources, error_bound = _lay_out(
+        pixel_sets, chosen, members, n_layers, tolerance, border=border, stochastic=stochastic
+    )
+    plan = Plan(
+        sources=sources,
+        table=chosen.table,
+        n_variants=len(chosen.variants),
+        n_layers=n_layers,
+        members=members,
+        cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
+        pixels_skipped=int(np.logical_and.reduce([index < 0 for index in chosen.indices]).sum()),
+        error_bound=error_bound,
+    )
+    plan.left_out = _left_out(plan, [each.labels for each in pixel_sets], chosen.variants)
+    return plan
+
+
+def _choose(
+    pixel_sets: Sequence[Pixels],
+    database: Database,
+    dense_psf: DensePsf | None,
+    exact_psf: ExactPsf | None,
+    *,
+    stochastic: bool,
+) -> _Choice:
+    """Choose the PSF of each pixel, and read just those that are in use."""
+    # Find the cell, the pose and the scale of each pixel: its variant.
+    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
     n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
     _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
+    # Number the variants in use.
     used, place = _used_keys(keys)
     indices = [np.empty(key.shape, np.int32) for key in keys]
     for key, index in zip(keys, indices, strict=True):
         for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    highlights = find_highlights(passes, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    # Give highlights PSFs of their own, and collect the points of all.
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     points = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
-    labels = [each.labels for each in passes]
-    divide, softness = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
-    softness = softness if options.softness is None else options.softness
-    layering = divide(list(zip(labels, indices, strict=True)), n_layers, softness)
-    members = [layering.members(each, index) for each, index in zip(labels, indices, strict=True)]
+    variation = _variation(variants, spikes, table, database)
+    return _Choice(indices, variants, highlights, table, spike_of, variation)
+
+
+def _assign(
+    pixel_sets: Sequence[Pixels],
+    indices: Sequence[npt.NDArray[np.int32]],
+    n_layers: int,
+    softness: float | None,
+    *,
+    stochastic: bool,
+) -> tuple[int, list[Membership]]:
+    """Divide the range of depths, and assign each pixel to its layers; return their number, too."""
+    divide, usual = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
+    labelled = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True)]
+    layering = divide(labelled, n_layers, usual if softness is None else softness)
+    return layering.n_layers, [layering.members(labels, index) for labels, index in labelled]
+
+
+def _lay_out(
+    pixel_sets: Sequence[Pixels],
+    chosen: _Choice,
+    members: list[Membership],
+    n_layers: int,
+    tolerance: float,
+    *,
+    border: bool,
+    stochastic: bool,
+) -> tuple[list[list[SplatPass]], float]:
+    """Lay out what to draw, as `Plan.sources`, and bound the error of drawing blocks of pixels as one."""
+    table, highlights = chosen.table, chosen.highlights
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
-    beyond = _border_colours(passes) if border else [None] * len(passes)
-    parts = _all_parts(highlights.dimmed(passes), members, beyond, layering.n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, table, layering.n_layers, wide))
-    variation = np.tile(_variation(variants, spikes, table, database), layering.n_layers)
-    alone = [_spike_pass(each, spike_of, layering.n_layers) for each in splats] if (spike_of >= 0).any() else []
-    own = highlights.splats(passes, members, table, len(variants), wide)
-    merged = [merge_blocks(each, variation, 0.0 if dense_psf else options.tolerance) for each in splats]
-    plan = Plan(
-        sources=[levels for levels, _ in merged] + [[each] for each in (*alone, *own)],
-        table=table,
-        n_variants=len(variants),
-        n_layers=layering.n_layers,
-        members=members,
-        cells_used={variant.cell for variant in variants if variant != SHARP},
-        pixels_skipped=int(np.logical_and.reduce([index < 0 for index in indices]).sum()),
-        error_bound=max((bound for _, bound in merged), default=0.0),
-    )
-    plan.left_out = _left_out(plan, labels, variants)
-    return plan
+    # Continue the frame beyond its border, and place or pool its pixels.
+    beyond = _border_colours(pixel_sets) if border else [None] * len(pixel_sets)
+    parts = _all_parts(highlights.dimmed(pixel_sets), members, beyond, n_layers, table.n_variants)
+    splats = list(_splat_passes(parts, table, n_layers, wide))
+    # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
+    alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
+    own = highlights.splats(pixel_sets, members, table, len(chosen.variants), wide)
+    variation = np.tile(chosen.variation, n_layers)
+    merged = [merge_blocks(each, variation, tolerance) for each in splats]
+    sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
+    return sources, max((bound for _, bound in merged), default=0.0)
 
 
 def _variant_keys(
@@ -202,11 +279,13 @@ def _variant_keys(
     scaling = np.array([axis.scales for axis in model.axes])
     share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
     # Where more than lens and motion blurs, no PSF stays within its pixel.
-    scales = SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, SHARP_EXTENT if scaling.all() else NEVER_SHARP
-    pose = np.ascontiguousarray(DIRECTIONS[model.symmetry.angle](labels)), labels.coc, model.symmetry.codes
-    tables = grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start
+    sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
+    sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent)
+    heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
+    pose = PoseLabels(heading, labels.coc, model.symmetry.codes)
+    tables = GridTables(grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start)
     colour = pixels.radiance, pixels.weight
-    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, tables, scales, key, excess)
+    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, tables, sizes, key, excess)
     return key, excess
 
 
@@ -262,7 +341,7 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
     cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
     return Variant(
         cell=cell,
-        direction=spreadlet - int(cell_start[cell]),
+        pose=spreadlet - int(cell_start[cell]),
         transpose=bool(orientation & 1),
         flip_row=bool(orientation & 2),
         flip_col=bool(orientation & 4),
@@ -295,22 +374,22 @@ def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int
     return frame._replace(label=label[frame.label])
 
 
-def _border_colours(passes: Sequence[Pixels]) -> list[Colours]:
-    """Return the colours beyond the border of each pass; passes often share their colours."""
-    found = {id(pixels.radiance): pixels.radiance for pixels in passes}
+def _border_colours(pixel_sets: Sequence[Pixels]) -> list[Colours]:
+    """Return the colours beyond the border of each set; sets often share their colours."""
+    found = {id(pixels.radiance): pixels.radiance for pixels in pixel_sets}
     colours = {key: border_colours(radiance) for key, radiance in found.items()}
-    return [colours[id(pixels.radiance)] for pixels in passes]
+    return [colours[id(pixels.radiance)] for pixels in pixel_sets]
 
 
 def _all_parts(
-    passes: Sequence[Pixels],
+    pixel_sets: Sequence[Pixels],
     members: Sequence[Membership],
     beyond: Sequence[Colours | None],
     n_layers: int,
     n_variants: int,
 ) -> Iterator[_Part]:
-    """Yield all parts of all pixels, with the colours beyond the border of each pass."""
-    for pixels, member, colours in zip(passes, members, beyond, strict=True):
+    """Yield all parts of all pixels, with the colours beyond the border of each set."""
+    for pixels, member, colours in zip(pixel_sets, members, beyond, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):
                 yield _Part(pixels, label, weight, colours)
@@ -353,7 +432,7 @@ def _variation(
     for number, variant in enumerate(variants):
         if not table.direct[number]:
             # A PSF stretched by s is lower by s^2 and its outline longer by s.
-            whole = stored[database.cell_start[variant.cell] + variant.direction] / variant.scale
+            whole = stored[database.cell_start[variant.cell] + variant.pose] / variant.scale
             # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
             variation[number] = max(whole - 4.0 * spikes[number].min(), 0.0)
     return variation

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands, for_blocks
 from spreadlets.runtime.plan import _pool_kernels
-from spreadlets.runtime.plan.border import Colours
+from spreadlets.runtime.plan._border_kernels import Colours
+from spreadlets.runtime.plan._pool_kernels import Pooled, Sides, Splats, Stepped
 from spreadlets.runtime.splat.passes import SplatPass
 
 CHUNKS = 16
@@ -37,7 +38,7 @@ class PlacedPixels(NamedTuple):
         ``layer * n_variants + variant``, negative where there is none.
     steps : ndarray of shape (H, W, 2), int32
         Displacement (row, col) of the splat's centre from the pixel, in 1/16 px.
-    colours : tuple of ndarrays, or None
+    colours : Colours or None
         What lies beyond the border, see `runtime.plan.border.border_colours`; None to end there.
     """
 
@@ -91,7 +92,7 @@ def pool(pixels: Sequence[PlacedPixels], reaches: npt.NDArray[np.int64], n_layer
     far = int(reaches.max())
     n_rows = pixels[0].label.shape[0] + 2 * far
     counts = np.zeros((len(pixels), CHUNKS, n_rows), np.int64)
-    nothing = np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4), np.float32)
+    nothing = Splats(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4), np.float32))
     for each, count in zip(pixels, counts, strict=True):
         _list(each, reaches, far, count, nothing)
     sizes = counts.sum(axis=(1, 2))
@@ -108,24 +109,24 @@ def _list(
     reaches: npt.NDArray[np.int64],
     far: int,
     at: npt.NDArray[np.int64],
-    splats: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Image],
+    splats: Splats,
 ) -> None:
     """Count or list the splats of pixels, see the kernel."""
     height, width = pixels.label.shape
     none = np.zeros((width, 4), np.float32), np.zeros((height, 4), np.float32)
-    colours = (none[0], none[0], none[1], none[1]) if pixels.colours is None else pixels.colours
-    padding = (0, 0, 0, 0) if pixels.colours is None else _padding(pixels, reaches)
-    for_blocks(_pool_kernels.list_splats, len(at), tuple(pixels[:4]), colours, padding, reaches, -far, at, splats)
+    colours = Colours(none[0], none[0], none[1], none[1]) if pixels.colours is None else pixels.colours
+    padding = Sides(0, 0, 0, 0) if pixels.colours is None else _padding(pixels, reaches)
+    for_blocks(_pool_kernels.list_splats, len(at), Stepped(*pixels[:4]), colours, padding, reaches, -far, at, splats)
 
 
-def _padding(pixels: PlacedPixels, reaches: npt.NDArray[np.int64]) -> tuple[int, ...]:
+def _padding(pixels: PlacedPixels, reaches: npt.NDArray[np.int64]) -> Sides:
     """Return how far beyond each side a pixel like those on the border reaches back into the frame."""
     found = []
     for edge, axis, sign in (((0,), 0, 1), ((-1,), 0, -1), ((slice(None), 0), 1, 1), ((slice(None), -1), 1, -1)):
         label, steps = pixels.label[edge], pixels.steps[edge][..., axis]
         towards = sign * (steps[label >= 0] // _pool_kernels.STEPS_PER_PIXEL) + 1
         found.append(int((reaches[label[label >= 0] % len(reaches)] + towards).max(initial=0)))
-    return tuple(found)
+    return Sides(*found)
 
 
 def _pooled(
@@ -143,18 +144,16 @@ def _pooled(
     at = np.ascontiguousarray((ends - by_row.ravel()).reshape(by_row.shape).T).reshape(counts.shape)
     row_start = np.concatenate([[0], ends[by_row.shape[1] - 1 :: by_row.shape[1]]])
     total = int(row_start[-1])
-    label, col = np.empty(total, np.int32), np.empty(total, np.int32)
-    splats = label, col, np.empty((total, 4), np.float32)
+    splats = Splats(np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 4), np.float32))
     for each, place in zip(pixels, at, strict=True):
         _list(each, reaches, far, place, splats)
-    first_col = int(col.min())
-    col -= first_col
+    first_col = int(splats.col.min())
+    splats.col[:] -= first_col
     order, n_places = np.empty(total, np.int64), np.empty(n_rows, np.int64)
-    sizes = n_layers * len(reaches), int(col.max()) + 1
-    for_bands(_pool_kernels.sort_rows, n_rows, label, col, row_start, *sizes, order, n_places)
+    sizes = n_layers * len(reaches), int(splats.col.max()) + 1
+    for_bands(_pool_kernels.sort_rows, n_rows, splats.label, splats.col, row_start, *sizes, order, n_places)
     place_start = np.concatenate([[0], np.cumsum(n_places)])
     m = int(place_start[-1])
-    radiance, labels, shift = np.empty((m, 4), np.float32), np.empty(m, np.int32), np.empty((m, 2), np.int32)
-    pooled = radiance, labels, shift
+    pooled = Pooled(np.empty((m, 4), np.float32), np.empty(m, np.int32), np.empty((m, 2), np.int32))
     for_bands(_pool_kernels.add_up, n_rows, splats, order, row_start, place_start, (-far, first_col), pooled)
-    return SplatPass((0, 0), radiance[None], labels[None], shift[None])
+    return SplatPass((0, 0), pooled.radiance[None], pooled.label[None], pooled.shift[None])

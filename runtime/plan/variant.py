@@ -16,13 +16,13 @@ Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 
 
 class DensePsf(Protocol):
-    """Gives the full PSF of (cell, direction, scale) as an array of odd size, centred, and says how to draw it."""
+    """Gives the full PSF of (cell, pose, scale) as an array of odd size, centred, and says how to draw it."""
 
     @property
     def by_rows(self) -> bool:
         """Whether to draw the PSF's differences along rows, summed up afterwards, rather than its pixels."""
 
-    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
+    def __call__(self, cell: int, pose: int, scale: float) -> npt.NDArray[np.float64]:
         """Return the PSF."""
 
 
@@ -37,7 +37,7 @@ class Variant(NamedTuple):
     """One PSF as a frame needs it: which stored spreadlet, how turned, and how much larger."""
 
     cell: int
-    direction: int
+    pose: int
     transpose: bool
     flip_row: bool
     flip_col: bool
@@ -56,7 +56,7 @@ def variant_points(variants: list[Variant], database: Database, dense_psf: Dense
     if dense_psf is not None:
         yield from (_dense_variant(each, dense_psf) for each in stored)
         return
-    spreadlets = database.spreadlets([(each.cell, each.direction) for each in stored])
+    spreadlets = database.spreadlets([(each.cell, each.pose) for each in stored])
     for each, spreadlet in zip(stored, spreadlets, strict=True):
         wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
         yield _turned(wide, each)
@@ -77,7 +77,7 @@ def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:
 
 def _dense_variant(variant: Variant, dense_psf: DensePsf) -> Points:
     """Return the points of a variant's full PSF."""
-    psf = dense_psf(variant.cell, variant.direction, variant.scale)
+    psf = dense_psf(variant.cell, variant.pose, variant.scale)
     if not dense_psf.by_rows:
         return _turned(direct_points(psf), variant)
     # Differences along rows must be taken after turning.

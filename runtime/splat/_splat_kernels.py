@@ -4,8 +4,12 @@ Indices into images are unsigned: a signed index would be checked for wrap-aroun
 compiler from vectorising.
 """
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
 
@@ -16,6 +20,49 @@ LONG_RUN = 16
 """Pixels from which a run is drawn along itself rather than along the rows of a direct PSF."""
 
 _U = np.uint64
+
+
+class Level(NamedTuple):
+    """What is drawn of one stride.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (n_pixels * 4,), float32
+        Flattened colours.
+    runs : ndarray of shape (n_runs, 5), int32
+        See `RUN_SOURCE`; sorted by row.
+    row_start : ndarray of shape (rows + 1,), int64
+        Where the runs of each row of the canvas begin.
+    """
+
+    radiance: Image
+    runs: npt.NDArray[np.int32]
+    row_start: npt.NDArray[np.int64]
+
+
+class Window(NamedTuple):
+    """Row and column, in the frame, of a canvas's first pixel; its columns; and how far a splat may reach, px."""
+
+    top: int
+    left: int
+    cols: int
+    reach: int
+
+
+class PointRows(NamedTuple):
+    """Where the points of each row of each variant begin, see `rows_of_points`."""
+
+    first: npt.NDArray[np.int64]
+    base: npt.NDArray[np.int64]
+    reach: npt.NDArray[np.int64]
+
+
+class SpanPlaces(NamedTuple):
+    """Row and column (n_spans,) of the first point of each span; where its points begin (n_spans + 1,); all int64."""
+
+    row: npt.NDArray[np.int64]
+    col: npt.NDArray[np.int64]
+    start: npt.NDArray[np.int64]
 
 
 @helper
@@ -57,7 +104,7 @@ def count_runs(begin, end, label, shift, group, count):
 
 
 @kernel
-def list_runs(begin, end, label, shift, group, start, place, n_variants, runs):
+def list_runs(begin, end, label, shift, group, start, origin, stride, n_variants, runs):
     """List the runs of `count_runs`, those of a group together, in raster order.
 
     Parameters
@@ -66,14 +113,15 @@ def list_runs(begin, end, label, shift, group, start, place, n_variants, runs):
         As for `count_runs`.
     start : ndarray of shape (n_groups, H), int64
         Where the runs of each group in each row begin in the list.
-    place : tuple of four ints
-        Place of the pixels in the flattened source; row and column of the first in the frame; their distance, px.
+    origin : tuple of two ints
+        Row and column, in the frame, of the first pixel.
+    stride : int
+        Distance of neighbouring pixels in the frame, px.
     n_variants : int
         A label is ``layer * n_variants + variant``.
     runs : ndarray of shape (n_runs, 5), int32
         Filled; see `RUN_SOURCE`.
     """
-    source, first_row, first_col, stride = place
     height, width = label.shape
     for row in range(begin, end):
         at = start[:, row].copy()
@@ -83,14 +131,14 @@ def list_runs(begin, end, label, shift, group, start, place, n_variants, runs):
             if label[row, col] >= 0:
                 i = at[group[label[row, col]]]
                 at[group[label[row, col]]] += 1
-                runs[i, 0] = source + row * width + col
-                runs[i, 1] = first_row + stride * row
-                runs[i, 2] = first_col + stride * col
+                runs[i, RUN_SOURCE] = row * width + col
+                runs[i, RUN_ROW] = origin[0] + stride * row
+                runs[i, RUN_COL] = origin[1] + stride * col
                 if shift.shape[0]:
-                    runs[i, 1] += shift[row, col, 0]
-                    runs[i, 2] += shift[row, col, 1]
-                runs[i, 3] = end - col
-                runs[i, 4] = label[row, col] % n_variants
+                    runs[i, RUN_ROW] += shift[row, col, 0]
+                    runs[i, RUN_COL] += shift[row, col, 1]
+                runs[i, RUN_LENGTH] = end - col
+                runs[i, RUN_VARIANT] = label[row, col] % n_variants
             col = end
 
 
@@ -109,8 +157,8 @@ def collect_runs(begin, end, radiance, runs, place, colours):
         Filled at these places.
     """
     for i in range(begin, end):
-        source, target = _U(4) * _U(runs[i, 0]), _U(4) * _U(place[i])
-        for k in range(_U(4) * _U(runs[i, 3])):
+        source, target = _U(4) * _U(runs[i, RUN_SOURCE]), _U(4) * _U(place[i])
+        for k in range(_U(4) * _U(runs[i, RUN_LENGTH])):
             colours[target + k] = radiance[source + k]
 
 
@@ -119,11 +167,11 @@ def run_bounds(runs, reach, stride):
     """Return the first row and column that the splats of runs may touch, and those behind the last."""
     top, left, bottom, right = 1 << 30, 1 << 30, -(1 << 30), -(1 << 30)
     for i in range(runs.shape[0]):
-        far = reach[runs[i, 4]]
-        top = min(top, runs[i, 1] - far)
-        bottom = max(bottom, runs[i, 1] + stride + far)
-        left = min(left, runs[i, 2] - far)
-        right = max(right, runs[i, 2] + stride * runs[i, 3] + far)
+        far = reach[runs[i, RUN_VARIANT]]
+        top = min(top, runs[i, RUN_ROW] - far)
+        bottom = max(bottom, runs[i, RUN_ROW] + stride + far)
+        left = min(left, runs[i, RUN_COL] - far)
+        right = max(right, runs[i, RUN_COL] + stride * runs[i, RUN_LENGTH] + far)
     return top, left, bottom, right
 
 
@@ -174,10 +222,9 @@ def point_offsets(begin, end, offset_rc, cols, offsets):
 @helper
 def _runs_near(level, first_row, n_rows, farthest):
     """Return the runs of a level that may reach ``n_rows`` rows of the canvas from ``first_row`` on: first, end."""
-    _, _, row_start = level
-    rows = row_start.shape[0] - 1
-    first = row_start[min(max(first_row - farthest, 0), rows)]
-    return first, row_start[min(max(first_row + n_rows + farthest, 0), rows)]
+    rows = level.row_start.shape[0] - 1
+    first = level.row_start[min(max(first_row - farthest, 0), rows)]
+    return first, level.row_start[min(max(first_row + n_rows + farthest, 0), rows)]
 
 
 @helper(inline="always")
@@ -211,24 +258,22 @@ def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, 
 
 
 @helper
-def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, canvas):
+def _draw_rows(target, first_row, n_rows, level, stride, point_offset, points, value, window):
     """Draw what the runs of a level add to ``n_rows`` rows of the canvas, from ``first_row`` on, into ``target``."""
-    radiance, runs, _ = level
-    _, first, base, reach = points
-    top, left, pitch, farthest = canvas
-    first_run, end_run = _runs_near(level, first_row, n_rows, farthest)
+    radiance, runs, reach = level.radiance, level.runs, points.reach
+    first_run, end_run = _runs_near(level, first_row, n_rows, window.reach)
     for i in range(first_run, end_run):
-        variant = runs[i, 4]
-        row = runs[i, 1] - top - first_row
+        variant = runs[i, RUN_VARIANT]
+        row = runs[i, RUN_ROW] - window.top - first_row
         last = 2 * reach[variant] + 1
-        begin = first[base[variant] + min(max(reach[variant] - row, 0), last)]
-        end = first[base[variant] + min(max(reach[variant] + n_rows - row, 0), last)]
+        begin = points.first[points.base[variant] + min(max(reach[variant] - row, 0), last)]
+        end = points.first[points.base[variant] + min(max(reach[variant] + n_rows - row, 0), last)]
         if begin == end:
             continue
-        source = _U(4) * _U(runs[i, 0])
+        source = _U(4) * _U(runs[i, RUN_SOURCE])
         # The column of a canvas's first pixel fits the stride, see `splat_levels`.
-        at = np.int64(row) * pitch + 4 * ((runs[i, 2] - left) // stride)
-        n = _U(4) * _U(runs[i, 3])
+        at = np.int64(row) * 4 * window.cols + 4 * ((runs[i, RUN_COL] - window.left) // stride)
+        n = _U(4) * _U(runs[i, RUN_LENGTH])
         if value.shape[1] == 4:
             _draw_coloured_run(target, radiance, source, at, n, point_offset, value, begin, end)
         elif n == _U(4):
@@ -267,7 +312,7 @@ def _spread(target, source, n_rows, stride, pitch):
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @kernel
-def splat_levels(begin, end, image, levels, offsets, points, value, canvas, band_rows, scratch):
+def splat_levels(begin, end, image, levels, offsets, points, value, window, band_rows, scratch):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
@@ -279,18 +324,15 @@ def splat_levels(begin, end, image, levels, offsets, points, value, canvas, band
     ----------
     image : ndarray of shape (rows, cols * 4), float32
         Overwritten; cols is a multiple of 4.
-    levels : tuple of three (radiance, runs, row_start)
-        For strides 1, 2 and 4: flattened colours; runs sorted by row, of shape (n_runs, 5), int32; and of shape
-        (rows + 1,), int64, where the runs of each row of the image begin.
+    levels : tuple of three Levels
+        Of strides 1, 2 and 4.
     offsets : ndarray of shape (3, n_points), int64
         See `point_offsets`.
-    points : tuple of four ndarrays
-        ``point_start``; and ``first``, ``base``, ``reach`` of `rows_of_points`.
+    points : PointRows
     value : ndarray of shape (n_points, 1) or (n_points, 4), float32
         For all channels, or for each of R, G, B and alpha.
-    canvas : tuple of four ints
-        Row and column, in the frame, of the image's first pixel (the column fits all strides: it differs from those of
-        blocks by multiples of 4); ``4 * cols``; the largest reach.
+    window : Window
+        The image's place. Its column fits all strides: it differs from those of blocks by multiples of 4.
     band_rows : int
         Height of a band.
     scratch : ndarray of shape (2, band_rows + 3, cols * 4), float32
@@ -298,25 +340,23 @@ def splat_levels(begin, end, image, levels, offsets, points, value, canvas, band
     """
     rows, pitch = image.shape
     level_1, level_2, level_4 = levels
-    top, left, _, farthest = canvas
-    place = top, left, pitch, farthest
     twos, fours = scratch[1].reshape(scratch[1].size), scratch[0].reshape(scratch[0].size)
     for band in range(begin, end):
         first_row = band * band_rows
         n_rows = min(band_rows, rows - first_row)
         target = image[first_row : first_row + n_rows].reshape(n_rows * pitch)
         target[:] = np.float32(0.0)
-        first_2, end_2 = _runs_near(level_2, first_row - 1, n_rows + 1, farthest)
-        first_4, end_4 = _runs_near(level_4, first_row - 3, n_rows + 3, farthest)
+        first_2, end_2 = _runs_near(level_2, first_row - 1, n_rows + 1, window.reach)
+        first_4, end_4 = _runs_near(level_4, first_row - 3, n_rows + 3, window.reach)
         if first_2 < end_2 or first_4 < end_4:
             twos[: (n_rows + 1) * pitch] = np.float32(0.0)
             if first_4 < end_4:
                 fours[: (n_rows + 3) * pitch] = np.float32(0.0)
-                _draw_rows(fours, first_row - 3, n_rows + 3, level_4, np.int64(4), offsets[2], points, value, place)
+                _draw_rows(fours, first_row - 3, n_rows + 3, level_4, np.int64(4), offsets[2], points, value, window)
                 _spread(twos, fours, n_rows + 1, np.int64(4), pitch)
-            _draw_rows(twos, first_row - 1, n_rows + 1, level_2, np.int64(2), offsets[1], points, value, place)
+            _draw_rows(twos, first_row - 1, n_rows + 1, level_2, np.int64(2), offsets[1], points, value, window)
             _spread(target, twos, n_rows, np.int64(2), pitch)
-        _draw_rows(target, first_row, n_rows, level_1, np.int64(1), offsets[0], points, value, place)
+        _draw_rows(target, first_row, n_rows, level_1, np.int64(1), offsets[0], points, value, window)
 
 
 @helper
@@ -334,12 +374,11 @@ def _first_point(row, begin, end, wanted):
 @helper(inline="always")
 def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
-    span_row, span_col, span_start = spans
     begin, end = bounds
     if n >= LONG_RUN:
         for span in range(begin, end):
-            o = _U(target + 4 * (span_row[span] * cols + span_col[span]))
-            for p in range(_U(4 * span_start[span]), _U(4 * span_start[span + 1]), _U(4)):
+            o = _U(target + 4 * (spans.row[span] * cols + spans.col[span]))
+            for p in range(_U(4 * spans.start[span]), _U(4 * spans.start[span + 1]), _U(4)):
                 weight = load(value, p)
                 for k in range(_U(0), _U(4 * n), _U(4)):
                     store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
@@ -349,14 +388,14 @@ def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bou
         for k in range(len(tiled)):
             tiled[k] = radiance[source + _U(4 * pixel + (k & 3))]
         for span in range(begin, end):
-            o = _U(target + 4 * (pixel + span_row[span] * cols + span_col[span]))
-            first = _U(4 * span_start[span])
-            for k in range(_U(4 * (span_start[span + 1] - span_start[span]))):
+            o = _U(target + 4 * (pixel + spans.row[span] * cols + spans.col[span]))
+            first = _U(4 * spans.start[span])
+            for k in range(_U(4 * (spans.start[span + 1] - spans.start[span]))):
                 image[o + _U(k)] += value[first + _U(k)] * tiled[_U(k)]
 
 
 @kernel
-def splat_spans(begin, end, image, level, spans, value, span_of_variant, canvas, band_rows):
+def splat_spans(begin, end, image, level, spans, value, span_of_variant, window, longest, band_rows):
     """Draw every run with a direct PSF, whose points are neighbours in rows: the counterpart of `splat_levels`.
 
     Short runs are drawn pixel by pixel, each span of the PSF as one contiguous stretch; long ones point by point, each
@@ -366,36 +405,36 @@ def splat_spans(begin, end, image, level, spans, value, span_of_variant, canvas,
     ----------
     image : ndarray of shape (rows * cols * 4,), float32
         Accumulated in place.
-    level : tuple of (radiance, runs, row_start)
-        As for `splat_levels`; the stride is 1.
-    spans : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
-        Row and column of each span's first point, rows ascending within a variant; where its points begin.
+    level : Level
+        Of stride 1.
+    spans : SpanPlaces
+        Rows ascend within a variant.
     value : ndarray of shape (n_points * 4,), float32
         Values of the points for R, G, B and alpha.
     span_of_variant : ndarray of shape (n_variants + 1,), int64
         The spans of each variant.
-    canvas : tuple of five ints
-        Row and column, in the frame, of the image's first pixel; cols; the largest row of a span, up or down; the most
-        points of a span.
+    window : Window
+        The image's place; its reach is the largest row of a span, up or down.
+    longest : int
+        The most points of a span.
     band_rows : int
         Height of a band.
     """
-    radiance, runs, row_start = level
-    top, left, cols, reach, longest = canvas
-    span_row, _, _ = spans
+    radiance, runs, row_start = level.radiance, level.runs, level.row_start
+    cols, reach = window.cols, window.reach
     rows = row_start.shape[0] - 1
     tiled = np.empty(4 * longest, np.float32)
     for band in range(begin, end):
         begin_row = band * band_rows
         end_row = min(begin_row + band_rows, rows)
         for i in range(row_start[max(begin_row - reach, 0)], row_start[min(end_row + reach, rows)]):
-            row, length, variant = runs[i, 1] - top, runs[i, 3], runs[i, 4]
-            first = _first_point(span_row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
-            last = _first_point(span_row, first, span_of_variant[variant + 1], end_row - row)
+            row, length, variant = runs[i, RUN_ROW] - window.top, runs[i, RUN_LENGTH], runs[i, RUN_VARIANT]
+            first = _first_point(spans.row, span_of_variant[variant], span_of_variant[variant + 1], begin_row - row)
+            last = _first_point(spans.row, first, span_of_variant[variant + 1], end_row - row)
             if first == last:
                 continue
-            source = _U(4) * _U(runs[i, 0])
-            target = 4 * (np.int64(row) * cols + runs[i, 2] - left)
+            source = _U(4) * _U(runs[i, RUN_SOURCE])
+            target = 4 * (np.int64(row) * cols + runs[i, RUN_COL] - window.left)
             _draw_direct_run(image, radiance, source, target, length, cols, spans, value, (first, last), tiled)
 
 
@@ -420,10 +459,10 @@ def gather_runs(begin, end, image, radiance, runs, point_offset, value, point_st
         Width of the padded input, px.
     """
     for i in range(begin, end):
-        variant = runs[i, 4]
-        target = _U(4) * _U(runs[i, 0])
-        centre = 4 * (np.int64(runs[i, 1]) * cols + runs[i, 2])
-        n = _U(4) * _U(runs[i, 3])
+        variant = runs[i, RUN_VARIANT]
+        target = _U(4) * _U(runs[i, RUN_SOURCE])
+        centre = 4 * (np.int64(runs[i, RUN_ROW]) * cols + runs[i, RUN_COL])
+        n = _U(4) * _U(runs[i, RUN_LENGTH])
         for p in range(point_start[variant], point_start[variant + 1]):
             source = _U(centre + point_offset[p])
             if value.shape[1] == 1:

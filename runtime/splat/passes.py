@@ -14,6 +14,7 @@ from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.splat import _splat_kernels
+from spreadlets.runtime.splat._splat_kernels import PointRows, SpanPlaces
 
 STRIDES = (1, 2, 4)
 """Sides of the blocks, px, that can be drawn as one."""
@@ -24,23 +25,21 @@ class Spans(NamedTuple):
 
     Attributes
     ----------
-    places : tuple of three ndarrays of shapes (n_spans,), (n_spans,) and (n_spans + 1,), int64
-        Row and column of each span's first point; where its points begin.
+    places : SpanPlaces
     value : ndarray of shape (n_points * 4,), float32
         Values of the points for R, G, B and alpha.
     span_of_variant : ndarray of shape (n_variants + 1,), int64
         Where the spans of each variant begin.
     """
 
-    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+    places: SpanPlaces
     value: Image
     span_of_variant: npt.NDArray[np.int64]
 
     @property
     def extent(self) -> tuple[int, int]:
         """The largest row of a span, up or down, and the most points of a span."""
-        row, _, start = self.places
-        return int(np.abs(row).max(initial=0)), int(np.diff(start).max(initial=0))
+        return int(np.abs(self.places.row).max(initial=0)), int(np.diff(self.places.start).max(initial=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +99,16 @@ class PointTable:
         start = np.append(first, len(row))
         value = np.empty((len(row), 4), np.float32)
         value[:] = self.lanes[np.repeat(self.direct, self.n_points)]
-        return Spans((row[first], col[first], start), value.reshape(-1), np.searchsorted(first, point_start))
+        places = SpanPlaces(row[first], col[first], start)
+        return Spans(places, value.reshape(-1), np.searchsorted(first, point_start))
 
     @cached_property
-    def rows(self) -> tuple[npt.NDArray[np.int64], ...]:
-        """Where the points of each row of each variant begin: see `runtime.splat._splat_kernels.rows_of_points`."""
+    def rows(self) -> PointRows:
+        """Where the points of each row of each variant begin."""
         base = np.concatenate([[0], np.cumsum(2 * self.reaches + 2)]).astype(np.int64)
         first = np.empty(base[-1], np.int64)
         _splat_kernels.rows_of_points(self.offset_rc, self.point_start, self.reaches, base, first)
-        return self.point_start, first, base, self.reaches
+        return PointRows(first, base, self.reaches)
 
 
 class SplatPass(NamedTuple):
@@ -175,9 +175,8 @@ def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
     start = np.concatenate([[0], ends[count.shape[1] - 1 :: count.shape[1]]])
     runs = np.empty((int(start[-1]), 5), np.int32)
     first = (ends - count.ravel()).reshape(count.shape)
-    place = 0, *source.origin, source.stride
-    pixels = source.label, source.shift, group
-    for_bands(_splat_kernels.list_runs, count.shape[1], *pixels, first, place, table.n_variants, runs)
+    pixels, place = (source.label, source.shift, group), (source.origin, source.stride)
+    for_bands(_splat_kernels.list_runs, count.shape[1], *pixels, first, *place, table.n_variants, runs)
     if source.shift is not NO_SHIFT:
         for begin, end in zip(start[:-1], start[1:], strict=True):
             runs[begin:end] = runs[begin:end][np.argsort(runs[begin:end, _splat_kernels.RUN_ROW], kind="stable")]

@@ -10,13 +10,11 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.splat import _splat_kernels
+from spreadlets.runtime.splat._splat_kernels import Level, Window
 from spreadlets.runtime.splat.passes import STRIDES, Canvas, PointTable, Runs
 
 BAND_ROWS = 32
 """Rows that one thread owns at a time: a band of a 1024 px wide float4 image stays within a core's L2 cache."""
-
-Level = tuple[Image, npt.NDArray[np.int32], npt.NDArray[np.int64]]
-"""Colours, runs and where the runs of each row begin, as `runtime.splat._splat_kernels.splat_levels` takes them."""
 
 
 def splat_laplacian(
@@ -42,13 +40,13 @@ def splat_laplacian(
     pitch = 4 * canvas.cols
     offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
     for_bands(_splat_kernels.point_offsets, len(table.offset_rc), table.offset_rc, canvas.cols, offsets)
-    place = canvas.top, canvas.left, pitch, int(table.reaches.max(initial=0))
+    window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches.max(initial=0)))
     rows = image.reshape(canvas.rows, pitch)
 
     def draw(begin: int, end: int) -> None:
         scratch = np.empty((2, BAND_ROWS + 3, pitch), np.float32)
         points = offsets, table.rows, table.lanes
-        _splat_kernels.splat_levels(begin, end, rows, drawn, *points, place, BAND_ROWS, scratch)
+        _splat_kernels.splat_levels(begin, end, rows, drawn, *points, window, BAND_ROWS, scratch)
 
     for_bands(draw, -(-canvas.rows // BAND_ROWS))
 
@@ -58,11 +56,10 @@ def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: 
     if not len(source.of(group)):
         return
     spans = table.spans
-    place = canvas.top, canvas.left, canvas.cols, *spans.extent
-    level = _level(source, group, canvas)
-    for_bands(
-        _splat_kernels.splat_spans, -(-canvas.rows // BAND_ROWS), image.reshape(-1), level, *spans, place, BAND_ROWS
-    )
+    reach, longest = spans.extent
+    window = Window(canvas.top, canvas.left, canvas.cols, reach)
+    drawn = image.reshape(-1), _level(source, group, canvas), *spans, window, longest, BAND_ROWS
+    for_bands(_splat_kernels.splat_spans, -(-canvas.rows // BAND_ROWS), *drawn)
 
 
 def sum_rows(image: Image) -> Image:
@@ -74,7 +71,7 @@ def sum_rows(image: Image) -> Image:
 def _level(source: Runs, group: int, canvas: Canvas) -> Level:
     """Return the flattened colours, the runs, and where the runs of each row of the canvas begin."""
     runs = source.of(group)
-    return source.source.radiance.reshape(-1), runs, _row_start(runs, canvas)
+    return Level(source.source.radiance.reshape(-1), runs, _row_start(runs, canvas))
 
 
 def _row_start(runs: npt.NDArray[np.int32], canvas: Canvas) -> npt.NDArray[np.int64]:
@@ -101,4 +98,4 @@ def _joined(sources: Sequence[Runs], group: int, canvas: Canvas) -> Level:
         begin = end
     runs[:, _splat_kernels.RUN_SOURCE] = place
     runs = runs[order]
-    return colours, runs, _row_start(runs, canvas)
+    return Level(colours, runs, _row_start(runs, canvas))

@@ -46,10 +46,10 @@ MAX_GAP_POINTS = 4096
 """Spreadlets with at most so many points between them are read together: less than a chunk's worth of decompression."""
 
 MAX_POSES = 1 << 20
-"""Most directions that a cell may have, far more than the sharpest line needs: a file says it by its ranges."""
+"""Most poses that a cell may have, far more than the sharpest line needs: a file says it by its ranges."""
 
-DIRECTION_TOLERANCE = 1e-9
-"""rad by which a stored direction may differ from the grid's."""
+ANGLE_TOLERANCE = 1e-9
+"""rad by which a stored angle may differ from the grid's."""
 
 
 class Database:
@@ -66,8 +66,8 @@ class Database:
     provenance : dict
         How the file was made.
     cell_start : ndarray of shape (n_cells + 1,), int64
-        The spreadlets of cell i are ``cell_start[i]`` to ``cell_start[i + 1]``, one for each direction.
-    direction : ndarray of shape (n_spreadlets,), float64
+        The spreadlets of cell i are ``cell_start[i]`` to ``cell_start[i + 1]``, one for each pose.
+    angle : ndarray of shape (n_spreadlets,), float64
         Direction of motion of each spreadlet, radians in [0, pi/4].
     direct : ndarray of shape (n_spreadlets,), bool
         Whether the points are the PSF's own pixels rather than its Laplacian's.
@@ -90,13 +90,13 @@ class Database:
         self.provenance: dict[str, Any] = read_text(file, "provenance")
         self.cell_start = read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1, MAX_POSES)
         if not np.array_equal(np.diff(self.cell_start), self.grid.pose_counts):
-            raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
+            raise InvalidDatabaseError(f"{path}: the angles stored for the cells are not those of the model's grid")
         n_spreadlets = int(self.cell_start[-1])
         self.point_start = read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0, MAX_POINTS_OF_ONE)
-        self.direction = read_table(file, "direction", (n_spreadlets,), np.float64)
-        expected = np.concatenate([self.grid.directions(cell) for cell in range(self.grid.n_cells)])
-        if np.abs(self.direction - expected).max() > DIRECTION_TOLERANCE:
-            raise InvalidDatabaseError(f"{path}: the directions stored for the cells are not those of the model's grid")
+        self.angle = read_table(file, "direction", (n_spreadlets,), np.float64)
+        expected = np.concatenate([self.grid.angles(cell) for cell in range(self.grid.n_cells)])
+        if np.abs(self.angle - expected).max() > ANGLE_TOLERANCE:
+            raise InvalidDatabaseError(f"{path}: the angles stored for the cells are not those of the model's grid")
         direct = read_table(file, "direct", (n_spreadlets,), np.uint8)
         if direct.max() > 1:
             raise InvalidDatabaseError(f"{path}: dataset 'direct' holds {direct.max()}; allowed are 0 and 1")
@@ -122,7 +122,7 @@ class Database:
 
     @property
     def n_spreadlets(self) -> int:
-        """Number of stored spreadlets: cells times their directions."""
+        """Number of stored spreadlets: cells times their poses."""
         return int(self.cell_start[-1])
 
     def coordinate(self, cell: int) -> npt.NDArray[np.float64]:
@@ -133,21 +133,21 @@ class Database:
         """Return the index of the cell that holds each coordinate; input shape (..., n_axes), clamped to the range."""
         return self.grid.find(coordinate)
 
-    def directions(self, cell: int) -> npt.NDArray[np.float64]:
-        """Directions stored for a cell, radians in [0, pi/4]."""
+    def angles(self, cell: int) -> npt.NDArray[np.float64]:
+        """Return the angle of each pose stored for a cell, radians, shape (n_poses,), float64."""
         cell = self._checked(cell)
-        return self.direction[self.cell_start[cell] : self.cell_start[cell + 1]]
+        return self.angle[self.cell_start[cell] : self.cell_start[cell + 1]]
 
-    def cell(self, cell: int, direction: int = 0) -> Spreadlet:
-        """Read one spreadlet of a cell; ``direction`` counts the cell's `directions`."""
+    def cell(self, cell: int, pose: int = 0) -> Spreadlet:
+        """Read one spreadlet of a cell; ``pose`` counts the cell's `angles`."""
         cell = self._checked(cell)
-        n_directions = int(self.cell_start[cell + 1] - self.cell_start[cell])
-        if not 0 <= direction < n_directions:
-            raise InvalidParameterError(f"direction {direction} of cell {cell}: allowed are 0 to {n_directions - 1}")
-        return self.spreadlets([(cell, direction)])[0]
+        n_poses = int(self.cell_start[cell + 1] - self.cell_start[cell])
+        if not 0 <= pose < n_poses:
+            raise InvalidParameterError(f"pose {pose} of cell {cell}: allowed are 0 to {n_poses - 1}")
+        return self.spreadlets([(cell, pose)])[0]
 
     def spreadlets(self, cells: Sequence[tuple[int, int]]) -> list[Spreadlet]:
-        """Read the spreadlets of several (cell, direction) pairs, and validate their points.
+        """Read the spreadlets of several (cell, pose) pairs, and validate their points.
 
         Spreadlets that lie close together in the file are read in one go.
 
@@ -156,12 +156,12 @@ class Database:
         InvalidDatabaseError
             If points cannot be read, or are not finite, or lie too far out.
         """
-        index = np.array([self.cell_start[cell] + direction for cell, direction in cells], np.int64)
+        index = np.array([self.cell_start[cell] + pose for cell, pose in cells], np.int64)
         absent = np.flatnonzero(self.point_start[index] == self.point_start[index + 1])
         if len(absent):
-            cell, direction = cells[int(absent[0])]
+            cell, pose = cells[int(absent[0])]
             raise InvalidDatabaseError(
-                f"{self.path}: direction {direction} of cell {cell} and {len(absent) - 1} more that are needed were "
+                f"{self.path}: pose {pose} of cell {cell} and {len(absent) - 1} more that are needed were "
                 "left out of this database, which was built for certain frames only"
             )
         found: dict[int, Spreadlet] = {}
@@ -318,7 +318,7 @@ def _read_grid(file: h5py.File) -> PsfGrid:
     ]
     grid = PsfGrid(replace(model, axes=tuple(axes)), shape, float(file.attrs["direction_step_px"]))
     if not 0 < grid.pose_counts.min() <= grid.pose_counts.max() <= MAX_POSES:
-        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_POSES} directions of a cell")
+        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_POSES} poses of a cell")
     if grid.pose_counts.sum() > MAX_SPREADLETS:
-        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_SPREADLETS} directions")
+        raise InvalidDatabaseError(f"{file.filename}: its ranges ask for more than {MAX_SPREADLETS} poses")
     return grid

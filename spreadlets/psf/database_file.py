@@ -70,17 +70,17 @@ WRITE_POINTS = 64 * CHUNK_POINTS
 
 
 class CellRecord(NamedTuple):
-    """One direction of one cell, as the build hands it over: where, what, and how good."""
+    """One pose of one cell, as the build hands it over: where, what, and how good."""
 
-    direction: float
+    angle: float
     spreadlet: Spreadlet
     statistics: Mapping[str, float]
 
 
-def absent_record(grid: PsfGrid, cell: int, direction: int) -> CellRecord:
-    """Return the record of a direction that is left out: it has no points, and reading it is an error."""
+def absent_record(grid: PsfGrid, cell: int, pose: int) -> CellRecord:
+    """Return the record of a pose that is left out: it has no points, and reading it is an error."""
     empty = Spreadlet(np.zeros((0, 2), np.int16), np.zeros((0, grid.model.n_channels), np.float32))
-    return CellRecord(float(grid.directions(cell)[direction]), empty, dict.fromkeys(STATISTICS, 0.0))
+    return CellRecord(float(grid.angles(cell)[pose]), empty, dict.fromkeys(STATISTICS, 0.0))
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------
@@ -107,7 +107,7 @@ def write_database(
     grid : PsfGrid
         The model and its cells.
     cells : iterable of list of CellRecord
-        For each cell in index order its records, one for each of ``grid.directions(cell)``. They are taken one by one:
+        For each cell in index order its records, one for each of ``grid.angles(cell)``. They are taken one by one:
         no more than a few cells are in memory at once, beside the file itself.
     provenance : mapping
         JSON-serialisable facts on how the file was made (seed, versions, settings, build time).
@@ -181,7 +181,7 @@ def _write_cells(file: h5py.File, n_channels: int, cells: Iterable[list[CellReco
             counts += [record.spreadlet.n_points for record in cell]
             for record in cell:
                 statistics = (record.statistics[name] for name in STATISTICS)
-                figures.append((record.direction, float(record.spreadlet.direct), *statistics))
+                figures.append((record.angle, float(record.spreadlet.direct), *statistics))
         records = [record for cell in batch for record in cell]
         _append(file["offset_rc"], np.concatenate([record.spreadlet.offset_rc for record in records]))
         _append(file["value"], np.concatenate([record.spreadlet.value for record in records]))

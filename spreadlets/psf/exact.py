@@ -30,14 +30,14 @@ THIN_RADIUS_PX = 4.0
 class ExactPsf(Protocol):
     """Makes the PSFs of a model at single coordinates, without a pre-filter."""
 
-    def __call__(self, coordinate: DoubleArray, direction: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
+    def __call__(self, coordinate: DoubleArray, angle: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
         """Yield PSFs as direct points, their rows ascending.
 
         Parameters
         ----------
         coordinate : ndarray of shape (n, n_axes), float64
             In the units of the model's axes; it may lie beyond their ends.
-        direction : ndarray of shape (n,), float64
+        angle : ndarray of shape (n,), float64
             Radians, y down; ignored by models without direction.
         side : ndarray of shape (n,), int64
             1 behind the focus, -1 in front of it.
@@ -55,7 +55,7 @@ def direct_points(psf: DoubleArray) -> Spreadlet:
 
 def longest_step(model: PsfModel, width: int) -> float:
     """Return the longest step of a heading, px: of a path, or of the place on an image of a width."""
-    return PATH_STEP_PX if model.symmetry.angle == "motion" else max(1.0, width / PLACES_ACROSS)
+    return PATH_STEP_PX if model.symmetry.heading == "motion" else max(1.0, width / PLACES_ACROSS)
 
 
 def heading_steps(radius: DoubleArray, longest: float) -> DoubleArray:
@@ -64,7 +64,7 @@ def heading_steps(radius: DoubleArray, longest: float) -> DoubleArray:
 
 
 def rounded(
-    coordinate: DoubleArray, direction: DoubleArray, side: IntArray, model: PsfModel
+    coordinate: DoubleArray, angle: DoubleArray, side: IntArray, model: PsfModel
 ) -> tuple[DoubleArray, DoubleArray, IntArray]:
     """Return coordinates, directions and sides as they are drawn.
 
@@ -72,7 +72,7 @@ def rounded(
     ----------
     coordinate : ndarray of shape (n, n_axes), float64
         In the units of the model's axes, the first of which is the CoC radius.
-    direction : ndarray of shape (n,), float64
+    angle : ndarray of shape (n,), float64
         Radians.
     side : ndarray of shape (n,), int64
         1 behind the focus, -1 in front of it.
@@ -81,11 +81,11 @@ def rounded(
     made = coordinate.copy()
     made[:, 0] = (np.floor(RADIUS_STEPS * np.sqrt(coordinate[:, 0]) + 0.5) / RADIUS_STEPS) ** 2
     if not model.has_direction:
-        return made, np.zeros_like(direction), side
+        return made, np.zeros_like(angle), side
     view = model.settings.get("view", {"width_px": 1, "sensor_width_mm": 1.0})
     unit = 1.0 if model.has_motion else view["sensor_width_mm"] / view["width_px"]
     step = heading_steps(made[:, 0], longest_step(model, view["width_px"]))
-    heading = coordinate[:, -1] / unit * np.stack([np.cos(direction), np.sin(direction)])
+    heading = coordinate[:, -1] / unit * np.stack([np.cos(angle), np.sin(angle)])
     x, y = np.copysign(np.floor(np.abs(heading) / step + 0.5), heading) * step
     made[:, -1] = np.hypot(x, y) * unit
     return made, np.arctan2(y + 0.0, x + 0.0), side

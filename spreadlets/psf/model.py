@@ -58,7 +58,7 @@ DEFAULT_MAX_DISTANCE_M = 4.0
 DEFAULT_MAX_ECCENTRICITY_MM = 25.5
 """Corner of a square image on a sensor 36 mm wide."""
 
-Angle = Literal["motion", "azimuth"]
+Heading = Literal["motion", "azimuth"]
 Sign = Literal["ignored", "turned", "stored"]
 
 SIGN_CODES: dict[Sign, int] = {"ignored": SIGN_IGNORED, "turned": SIGN_TURNED, "stored": SIGN_STORED}
@@ -110,7 +110,7 @@ class PoseSymmetry:
 
     Parameters
     ----------
-    angle : {"motion", "azimuth"}
+    heading : {"motion", "azimuth"}
         The label that the direction is read from: that of the motion, or the pixel's, seen from the image's centre.
     arrow : bool
         Whether the opposite direction gives another PSF: an arrow rather than a line.
@@ -126,15 +126,16 @@ class PoseSymmetry:
         If a name is unknown.
     """
 
-    angle: Angle = "motion"
+    heading: Heading = "motion"
     arrow: bool = False
     lattice: bool = True
     sign: Sign = "ignored"
 
     def __post_init__(self) -> None:
-        if self.angle not in get_args(Angle) or self.sign not in get_args(Sign):
+        if self.heading not in get_args(Heading) or self.sign not in get_args(Sign):
             raise InvalidParameterError(
-                f"angle is {self.angle!r} and sign {self.sign!r}: allowed are {get_args(Angle)} and {get_args(Sign)}"
+                f"heading is {self.heading!r} and sign {self.sign!r}: "
+                f"allowed are {get_args(Heading)} and {get_args(Sign)}"
             )
 
     @property
@@ -373,7 +374,7 @@ class PsfGrid:
     @property
     def _direction_steps(self) -> npt.NDArray[np.float64]:
         """How many times `direction_step_px` each cell's directions may be apart, shape (n_cells,)."""
-        if self.model.symmetry.angle == "motion":
+        if self.model.symmetry.heading == "motion":
             return np.minimum(1.0 + self.boxes[:, 0, 0] / DIRECTION_STEP_COC_PX, MAX_DIRECTION_STEPS)
         width = np.diff(self.boxes[:, :-1], axis=2).max(axis=(1, 2))
         return np.asarray(np.maximum(LENS_DIRECTION_STEPS, 0.5 * width / self.direction_step_px))
@@ -384,7 +385,7 @@ class PsfGrid:
 
         A lens is round on its axis: the PSF loses its roundness in proportion to the distance from it.
         """
-        if self.model.symmetry.angle == "motion":
+        if self.model.symmetry.heading == "motion":
             return np.asarray(self.boxes[:, -1, 1], dtype=np.float64)
         share = self.boxes[:, -1, 1] / self.maximum[-1]
         return np.asarray(2.0 * share * (self.boxes[:, 0, 1] + self.model.settings.get("aberration_px", 0.0)))
@@ -420,20 +421,20 @@ class PsfGrid:
         """Return the midpoint of a cell's physical box, float64 of shape (n_axes,)."""
         return np.asarray(self.boxes[cell].mean(axis=-1), dtype=np.float64)
 
-    def directions(self, cell: int) -> npt.NDArray[np.float64]:
-        """Return the direction of each pose stored for a cell, radians, float64; those behind the focus come first."""
+    def angles(self, cell: int) -> npt.NDArray[np.float64]:
+        """Return the angle of each pose stored for a cell, radians, float64; those behind the focus come first."""
         symmetry = self.model.symmetry
         count = int(self.pose_counts[cell]) // symmetry.n_sides
         stop = symmetry.n_spans * OCTANT
         nodes = np.linspace(0.0, stop, count, endpoint=symmetry.lattice, dtype=np.float64)
         return np.tile(nodes, symmetry.n_sides)
 
-    def direction_half_width(self, cell: int) -> float:
+    def angle_half_width(self, cell: int) -> float:
         """Return the half-width of the pre-filter over directions, radians: the node spacing, 0 for a single node."""
         count = int(self.direction_counts[cell])
         return OCTANT / (count - 1) if count > 1 else 0.0
 
-    def nearest_direction(
+    def nearest_pose(
         self, cell: npt.ArrayLike, angle: npt.ArrayLike, in_front: npt.ArrayLike = False
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Find the stored pose nearest to a direction, and the lattice symmetry that brings it there.
@@ -449,7 +450,7 @@ class PsfGrid:
         Returns
         -------
         index : ndarray of int64
-            Into ``directions(cell)``.
+            Into ``angles(cell)``.
         transpose, flip_row, flip_col : ndarray of bool
             Swap rows and columns first, then negate the row, then the column.
 

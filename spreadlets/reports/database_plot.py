@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 DensePsf = Callable[[int, int, float], DoubleArray]
-"""Traces a PSF again: (cell, direction, scale) to (H, W, C), as `runtime.render.synthesize` takes it."""
+"""Traces a PSF again: (cell, pose, scale) to (H, W, C), as `runtime.render.synthesize` takes it."""
 
 N_WORST = 10
 N_COLUMNS = 5
@@ -40,7 +40,7 @@ class _Spot(NamedTuple):
     """One spreadlet to be shown as images."""
 
     cell: int
-    direction: int
+    pose: int
     similarity: float
 
 
@@ -54,7 +54,7 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
     path : path
         Where to write; an existing file is replaced. The file appears whole or not at all.
     dense_psf : callable
-        ``(cell, direction, scale) -> ndarray of shape (H, W, C)``, H and W odd: the PSF, which the file does not hold.
+        ``(cell, pose, scale) -> ndarray of shape (H, W, C)``, H and W odd: the PSF, which the file does not hold.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def plot_database(database: Database, path: PathLike, dense_psf: DensePsf) -> No
     Notes
     -----
     LKS Fig. 10 b and c, over all spreadlets that are stored, as in `Database.summary`. A cell is as bad as its worst
-    direction.
+    pose.
     """
     figures = optional_package("matplotlib.figure", "plot", "a plot")
     try:
@@ -103,7 +103,7 @@ def _draw_worst(database: Database, figure: SubFigure, dense_psf: DensePsf) -> N
     n_columns = min(N_COLUMNS, len(spots))
     blocks = figure.subfigures(-(-len(spots) // n_columns), n_columns, squeeze=False).ravel()
     for spot, block in zip(spots, blocks, strict=False):
-        psf, reconstruction = _pair(database, spot, dense_psf(spot.cell, spot.direction, 1.0))
+        psf, reconstruction = _pair(database, spot, dense_psf(spot.cell, spot.pose, 1.0))
         difference = reconstruction - psf
         limit = float(np.abs(difference).max()) or 1.0
         first, second, third = block.subplots(3, 1)
@@ -117,7 +117,7 @@ def _draw_worst(database: Database, figure: SubFigure, dense_psf: DensePsf) -> N
 
 
 def _worst_cells(database: Database) -> list[_Spot]:
-    """Find the cells of the lowest similarity, each with its worst direction, worst first."""
+    """Find the cells of the lowest similarity, each with its worst pose, worst first."""
     similarity = np.where(_stored(database), database.statistics()["ssim"], np.inf)
     spots = []
     for cell, (begin, end) in enumerate(itertools.pairwise(database.cell_start)):
@@ -133,7 +133,7 @@ def _stored(database: Database) -> npt.NDArray[np.bool_]:
 
 def _pair(database: Database, spot: _Spot, psf: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
     """Return a PSF and its reconstruction on one window (H, W), averaged over the channels, relative to the peak."""
-    spreadlet = database.cell(spot.cell, spot.direction)
+    spreadlet = database.cell(spot.cell, spot.pose)
     half = np.maximum(np.asarray(psf.shape[:2]) // 2, spreadlet.extent) + MARGIN_PX
     dense = spreadlet.to_dense(int((half - spreadlet.extent).max()))
     true, approximate = (_centred(image, half).mean(axis=2) for image in (psf, dense))
@@ -157,9 +157,9 @@ def _show(axes: Axes, image: DoubleArray, colours: str, limits: tuple[float, flo
 
 def _title(database: Database, spot: _Spot) -> str:
     model = database.grid.model
-    direct = ", direct" if database.direct[database.cell_start[spot.cell] + spot.direction] else ""
+    direct = ", direct" if database.direct[database.cell_start[spot.cell] + spot.pose] else ""
     place = zip(model.axes, database.coordinate(spot.cell), strict=True)
     facts = [f"{axis.name} {x:.3g} {axis.unit}" for axis, x in place]
     if model.has_direction:
-        facts.append(f"{math.degrees(database.directions(spot.cell)[spot.direction]):.0f}°")
+        facts.append(f"{math.degrees(database.angles(spot.cell)[spot.pose]):.0f}°")
     return f"{spot.similarity:.4f}, cell {spot.cell}{direct}\n{', '.join(facts)}"

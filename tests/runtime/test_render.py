@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference import capsule_psf, disc_coverage
+from naive.psfs import capsule_psf, disc_coverage
 
 from spreadlets.api import synthesize as synthesize_any
 from spreadlets.errors import InvalidParameterError

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from reference_sheared import filtered, gaussian, irradiance, reconstruct_naive
+from naive.sheared import filtered, gaussian, irradiance, reconstruct_naive
 from threads import for_thread_counts
 
 import spreadlets.runtime.finish.denoise

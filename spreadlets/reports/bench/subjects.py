@@ -38,9 +38,9 @@ class TracedPsfs:
     traced: Traced
     by_rows: bool
 
-    def __call__(self, cell: int, direction: int, scale: float) -> npt.NDArray[np.float64]:
-        """Return the PSF of a cell and direction, its parameters times a scale, as an array (h, w, C)."""
-        key = cell, direction, scale
+    def __call__(self, cell: int, pose: int, scale: float) -> npt.NDArray[np.float64]:
+        """Return the PSF of a cell and pose, its parameters times a scale, as an array (h, w, C)."""
+        key = cell, pose, scale
         if key not in self.traced:
             self.traced[key] = self.psfs(*key)
         return self.traced[key]

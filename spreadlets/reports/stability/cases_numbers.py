@@ -195,7 +195,7 @@ def twin(lab: Lab, radiance: Array, coc: float, path: tuple[float, float]) -> Ar
     """Return channel 0 of what rendering amounts to, in float64: convolve with the points, solve exactly."""
     length = float(np.hypot(*path))
     cell = int(lab.database.find([coc, length]))
-    number, transpose, flip_row, flip_col = lab.database.grid.nearest_direction(cell, np.arctan2(path[1], path[0]))
+    number, transpose, flip_row, flip_col = lab.database.grid.nearest_pose(cell, np.arctan2(path[1], path[0]))
     spreadlet = lab.database.cell(cell, int(number)).transformed(
         transpose=bool(transpose), flip_row=bool(flip_row), flip_col=bool(flip_col)
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference import disc_coverage
+from naive.psfs import disc_coverage
 
 from spreadlets.precompute.build import between_cells
 from spreadlets.psf import exact
@@ -51,7 +51,7 @@ def test_coordinates_cover_the_remapped_range():
     unit = (places.coordinate / grid.maximum) ** (1 / grid.power)
     unit = (unit - grid.first) / (1 - grid.first)
     assert unit.mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.05) and unit.min() >= 0 and unit.max() <= 1
-    assert np.ptp(places.direction) > 6.0
+    assert np.ptp(places.angle) > 6.0
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.3, -0.4)])

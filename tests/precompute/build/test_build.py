@@ -216,7 +216,7 @@ def spreadlets_by_place(path):
         return {
             (boxes[cell].tobytes(), number): database.cell(cell, number)
             for cell in range(database.n_cells)
-            for number in range(len(database.directions(cell)))
+            for number in range(len(database.angles(cell)))
         }
 
 

@@ -42,8 +42,8 @@ def inside(shape, u, v):
         curvature = shape.get("blade_curvature", 0.0)
         bright &= np.hypot(u, v) <= (1 - curvature) * edge + curvature
     if "cats_eye" in shape:
-        direction = np.radians(shape.get("cats_eye_angle", 0.0))
-        bright &= np.hypot(u - shape["cats_eye"] * np.cos(direction), v - shape["cats_eye"] * np.sin(direction)) <= 1
+        angle = np.radians(shape.get("cats_eye_angle", 0.0))
+        bright &= np.hypot(u - shape["cats_eye"] * np.cos(angle), v - shape["cats_eye"] * np.sin(angle)) <= 1
     return bright & (np.hypot(u, v) >= shape.get("obstruction", 0.0))
 
 
@@ -88,7 +88,7 @@ def test_aperture_is_that_of_the_supersampled_drawing(name, side):
 @compiled
 @pytest.mark.parametrize("name", SHAPES)
 def test_aperture_in_motion_is_that_of_the_supersampled_drawing(name):
-    psf = trace_psf(make("combined", **SHAPES[name]), [[9.0, 9.0], [20.0, 20.0]], direction=0.5)
+    psf = trace_psf(make("combined", **SHAPES[name]), [[9.0, 9.0], [20.0, 20.0]], angle=0.5)
     path = (20.0 * np.cos(0.5), 20.0 * np.sin(0.5))
     assert relative_l1(psf, drawn(SHAPES[name], 9.0, path, np.ones(160), n=400)) < L1_BUDGET
 
@@ -99,7 +99,7 @@ def test_aperture_in_motion_is_that_of_the_supersampled_drawing(name):
     [("trapezoid:0.5,0.2", lambda t: np.minimum(np.minimum(t / 0.5, (1 - t) / 0.2), 1)), ("0,3", np.array)],
 )
 def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
-    psf = trace_psf(make("combined", shutter_curve=curve), [[6.0, 6.0], [30.0, 30.0]], direction=2.2)
+    psf = trace_psf(make("combined", shutter_curve=curve), [[6.0, 6.0], [30.0, 30.0]], angle=2.2)
     weights = weight((np.arange(240) + 0.5) / 240)
     path = (30.0 * np.cos(2.2), 30.0 * np.sin(2.2))
     assert relative_l1(psf, drawn({}, 6.0, path, weights, n=400)) < L1_BUDGET
@@ -107,8 +107,8 @@ def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
 
 def pose_psf(grid, cell, coordinates, angle, in_front):
     """Trace a PSF as the run time would draw it: a stored pose, turned by a symmetry of the lattice."""
-    number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle, in_front)
-    psf = trace_psf(grid.model, coordinates, direction=grid.directions(cell)[number], side=grid.side(cell, int(number)))
+    number, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, in_front)
+    psf = trace_psf(grid.model, coordinates, angle=grid.angles(cell)[number], side=grid.side(cell, int(number)))
     psf = psf.swapaxes(0, 1) if transpose else psf
     return psf[:: -1 if flip_row else 1, :: -1 if flip_col else 1]
 

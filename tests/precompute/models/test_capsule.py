@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference import capsule_psf, disc_coverage
+from naive.psfs import capsule_psf, disc_coverage
 
 from spreadlets.metrics import psf_similarity
 from spreadlets.parallel import limit_threads
@@ -47,11 +47,11 @@ def test_a_line_without_width_is_a_line_without_gaps(angle):
 
 
 def test_capsules_do_not_depend_on_each_other_or_on_threads():
-    coordinate, direction = np.array(SHAPES)[:, :2], np.array(SHAPES)[:, 2]
+    coordinate, angle = np.array(SHAPES)[:, :2], np.array(SHAPES)[:, 2]
     side = np.ones(len(SHAPES), np.int64)
-    together = list(exact_capsules(coordinate, direction, side))
+    together = list(exact_capsules(coordinate, angle, side))
     with limit_threads(1):
-        alone = list(exact_capsules(coordinate, direction, side))
+        alone = list(exact_capsules(coordinate, angle, side))
     for psf, same, shape in zip(together, alone, SHAPES, strict=True):
         assert psf.direct and (np.diff(psf.offset_rc[:, 0]) >= 0).all(), "rows ascend"
         np.testing.assert_array_equal(psf.value, same.value)

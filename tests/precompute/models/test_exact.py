@@ -19,9 +19,9 @@ def pair(exact, traced):
     ]
 
 
-def similarity(model, coordinate, direction, side, rays=None):
-    made = exact_psf(model)(np.array([coordinate]), np.array([direction]), np.array([side]))
-    traced = trace_psf(model, np.repeat(np.array(coordinate)[:, None], 2, 1), direction=direction, side=side, rays=rays)
+def similarity(model, coordinate, angle, side, rays=None):
+    made = exact_psf(model)(np.array([coordinate]), np.array([angle]), np.array([side]))
+    traced = trace_psf(model, np.repeat(np.array(coordinate)[:, None], 2, 1), angle=angle, side=side, rays=rays)
     return psf_similarity(*pair(next(made).to_dense(), traced))
 
 
@@ -68,7 +68,7 @@ def test_equal_models_share_what_makes_their_psfs():
 def test_psfs_are_made_once_and_the_oldest_go(monkeypatch):
     made = []
 
-    def make(coordinate, direction, side):
+    def make(coordinate, angle, side):
         made.append(coordinate)
         return np.full((1, int(coordinate[0]), 1), 1.0 / coordinate[0])
 

@@ -258,7 +258,7 @@ def test_psf_is_round_on_the_axis_and_a_cats_eye_in_the_corner():
 def test_psf_is_turned_to_the_azimuth():
     model = lens_model()
     flat = trace_psf(model, [[10, 11], [17, 18]], rays=1_000_000)
-    upright = trace_psf(model, [[10, 11], [17, 18]], rays=1_000_000, direction=math.pi / 2)
+    upright = trace_psf(model, [[10, 11], [17, 18]], rays=1_000_000, angle=math.pi / 2)
     assert widths(upright) == pytest.approx(widths(flat)[::-1], rel=0.01)
     np.testing.assert_allclose(flat, flat[::-1], atol=1e-3 * flat.max())
 
@@ -279,7 +279,7 @@ def test_colours_fringe_the_singlet_oppositely_on_both_sides_of_focus():
 @compiled
 def test_psfs_are_white_of_unit_energy_and_without_noise():
     model = lens_model()
-    first, second = (trace_psf(model, [[12, 13], [8, 9]], direction=0.4, seed=seed) for seed in (1, 2))
+    first, second = (trace_psf(model, [[12, 13], [8, 9]], angle=0.4, seed=seed) for seed in (1, 2))
     np.testing.assert_allclose(first.sum(axis=(0, 1)), 1.0, atol=5e-3)
     assert first.min() >= 0
     shape = np.maximum(first.shape, second.shape)
@@ -294,12 +294,12 @@ def test_stored_poses_give_every_azimuth_on_both_sides():
     box = [[12.0, 12.0], [16.0, 16.0]]
     for angle in (0.2, 1.4, 2.9, -1.0, -2.5):
         for in_front in (False, True):
-            number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle, in_front)
-            stored = grid.directions(cell)[number]
-            psf = trace_psf(grid.model, box, direction=stored, side=grid.side(cell, int(number)), rays=1_000_000)
+            number, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, in_front)
+            stored = grid.angles(cell)[number]
+            psf = trace_psf(grid.model, box, angle=stored, side=grid.side(cell, int(number)), rays=1_000_000)
             psf = psf.swapaxes(0, 1) if transpose else psf
             psf = psf[:: -1 if flip_row else 1, :: -1 if flip_col else 1]
-            wanted = trace_psf(grid.model, box, direction=angle, side=-1 if in_front else 1, rays=1_000_000)
+            wanted = trace_psf(grid.model, box, angle=angle, side=-1 if in_front else 1, rays=1_000_000)
             shape = np.maximum(psf.shape, wanted.shape)
             on = [np.pad(p, [((n - m) // 2,) * 2 for n, m in zip(shape, p.shape, strict=True)]) for p in (psf, wanted)]
             assert np.abs(on[0] - on[1]).sum() / 3 < 0.2, (angle, in_front)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
-from reference import disc_coverage
+from naive import sparsify as naive
+from naive.psfs import disc_coverage
 
 from spreadlets.precompute.sparsify.annealing import anneal, propose
 from spreadlets.precompute.sparsify.dart_throwing import throw_darts
@@ -55,7 +55,7 @@ def test_it_takes_the_moves_of_its_naive_twin():
     points = np.argwhere(field[..., 0] != 0)
     points = points[rng.permutation(len(points))[:160]]
     found = anneal(psf, field, points, np.random.default_rng(5))
-    np.testing.assert_array_equal(found, reference.anneal(psf, field, points, np.random.default_rng(5)))
+    np.testing.assert_array_equal(found, naive.anneal(psf, field, points, np.random.default_rng(5)))
 
 
 def test_a_hundredth_of_the_points_moves_by_at_most_a_pixel():

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
+from naive import sparsify as naive
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
@@ -21,7 +21,7 @@ def test_kernel_agrees_with_its_naive_twin():
     uniform = rng.random(200)
     placed = np.empty((importance.size, 2), dtype=np.int64)
     n_placed, n_failures = _kernels.throw_darts(cumulative, radius, uniform, 60, placed)
-    expected, expected_failures = reference.throw_darts(cumulative, radius, uniform, 60)
+    expected, expected_failures = naive.throw_darts(cumulative, radius, uniform, 60)
     np.testing.assert_array_equal(placed[:n_placed], expected)
     assert n_failures == expected_failures
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
-from reference import disc_coverage
+from naive import sparsify as naive
+from naive.psfs import disc_coverage
 
 from spreadlets.precompute.sparsify import elimination
 from spreadlets.precompute.sparsify.elimination import eliminate
@@ -25,7 +25,7 @@ def test_the_cost_of_a_point_is_what_fitting_without_it_costs(problem):
     index, value = eliminate(equations, size, 1e-4, 1.0)
     left = equations.subset(index)
     cost = value[:, 0] ** 2 / np.diag(left.free_inverse())
-    expected = reference.eliminate_one(left.gram, left.rhs[:, 0], left.basis.T, left.fixed[:, 0])
+    expected = naive.eliminate_one(left.gram, left.rhs[:, 0], left.basis.T, left.fixed[:, 0])
     np.testing.assert_allclose(cost, expected, rtol=1e-4, atol=1e-9)
     assert cost.min() >= 1e-4
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
-from reference import capsule_psf, disc_coverage
+from naive import sparsify as naive
+from naive.psfs import capsule_psf, disc_coverage
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.sparsify.fit import biharmonic_equations, fit_values, quantise
@@ -29,7 +29,7 @@ def test_all_moments_up_to_the_second_order_are_exact(psf):
     values = fit_values(psf, points)[:, 0]
     half = max(psf.shape) // 2
     scale = np.array([1, half, half, half**2, half**2, half**2])
-    moments = reference.moment_rows(points) @ values
+    moments = naive.moment_rows(points) @ values
     np.testing.assert_allclose(moments / scale, np.array([0, 0, 0, 0, 2, 2]) / scale, atol=MOMENT_TOLERANCE)
 
 
@@ -39,9 +39,9 @@ def test_the_fit_is_the_constrained_least_squares_solution(psf):
     window = np.zeros(shape)
     half, centre = np.array(psf.shape[:2]) // 2, np.array(shape) // 2
     window[centre[0] - half[0] : centre[0] + half[0] + 1, centre[1] - half[1] : centre[1] + half[1] + 1] = psf[..., 0]
-    columns = reference.green_columns(points, shape).reshape(-1, len(points))
+    columns = naive.green_columns(points, shape).reshape(-1, len(points))
     target = np.array([0, 0, 0, 0, 2.0, 2.0])
-    expected = reference.constrained_least_squares(columns, window.ravel(), reference.moment_rows(points), target)
+    expected = naive.constrained_least_squares(columns, window.ravel(), naive.moment_rows(points), target)
     values = fit_values(psf, points)[:, 0]
     # The oracle's window is finite, which cuts off some of the error's tail.
     np.testing.assert_allclose(values, expected, atol=2e-3 * np.abs(expected).max())

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
-from reference import disc_coverage
+from naive import sparsify as naive
+from naive.psfs import disc_coverage
 
 from spreadlets.precompute.sparsify.fitted_annealing import anneal_fitted, candidates_near
 from spreadlets.precompute.sparsify.similarity import similarity_equations
@@ -29,7 +29,7 @@ def error_of(equations, index):
 def test_it_takes_the_moves_of_its_naive_twin(n_channels):
     # Of 160 points a hundredth is two.
     equations, near, index = start(n_channels)
-    expected, least = reference.anneal_fitted(equations, near, index, np.random.default_rng(4))
+    expected, least = naive.anneal_fitted(equations, near, index, np.random.default_rng(4))
     found = anneal_fitted(equations, near, index, np.random.default_rng(4))
     np.testing.assert_array_equal(found, expected)
     assert error_of(equations, found) == pytest.approx(least, rel=1e-4)

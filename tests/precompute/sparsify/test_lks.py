@@ -1,7 +1,7 @@
 """The published chain: every stage of LKS section 5.5, with its numbers, in its order."""
 
 import numpy as np
-from reference import capsule_psf, disc_coverage
+from naive.psfs import capsule_psf, disc_coverage
 from scipy.ndimage import gaussian_filter
 
 from spreadlets.precompute.sparsify import lks as module

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
+from naive import sparsify as naive
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.sparsify.lloyd import assign, collapse, merge, relax
@@ -12,7 +12,7 @@ def test_assignment_agrees_with_brute_force(n_points):
     rng = np.random.default_rng(n_points)
     pixel = np.argwhere(np.ones((14, 19))).astype(float)
     point = rng.random((n_points, 2)) * [13, 18]
-    np.testing.assert_array_equal(assign(pixel, point), reference.squared_distances(pixel, point).argmin(axis=1))
+    np.testing.assert_array_equal(assign(pixel, point), naive.squared_distances(pixel, point).argmin(axis=1))
 
 
 def test_assignment_to_no_point_is_refused():
@@ -28,7 +28,7 @@ def test_relaxation_lowers_the_weighted_distance():
     pixel = np.argwhere(importance > 0)
 
     def cost(point):
-        return (importance.ravel() * reference.squared_distances(pixel, point).min(axis=1)).sum()
+        return (importance.ravel() * naive.squared_distances(pixel, point).min(axis=1)).sum()
 
     once, often = relax(importance, points, 1), relax(importance, points)
     assert cost(often) < cost(once) < cost(points)
@@ -47,7 +47,7 @@ def test_relaxation_takes_the_fifty_iterations_of_its_naive_twin(monkeypatch):
     rows, cols = np.indices((31, 31)) - 15
     importance = np.exp(-((np.hypot(rows, cols) - 9) ** 2) / 8)
     points = merge(rng.integers(8, 22, (25, 2)))
-    np.testing.assert_array_equal(relax(importance, points), reference.lloyd(importance, points))
+    np.testing.assert_array_equal(relax(importance, points), naive.lloyd(importance, points))
     calls = []
     monkeypatch.setattr("spreadlets.precompute.sparsify.lloyd.assign", lambda *a: calls.append(0) or assign(*a))
     relax(importance, points)
@@ -69,6 +69,6 @@ def test_collapse_keeps_each_channel_s_sum_and_nearest_owner():
     field = rng.normal(size=(11, 13, 3))
     points = np.array([[2, 2], [8, 9], [5, 5]])
     values = collapse(field, points)
-    owner = reference.squared_distances(np.argwhere(np.ones((11, 13))), points).argmin(axis=1).reshape(11, 13)
+    owner = naive.squared_distances(np.argwhere(np.ones((11, 13))), points).argmin(axis=1).reshape(11, 13)
     np.testing.assert_allclose(values, [field[owner == j].sum(axis=0) for j in range(3)], atol=1e-12)
     np.testing.assert_allclose(values.sum(axis=0), field.sum(axis=(0, 1)), atol=1e-12)

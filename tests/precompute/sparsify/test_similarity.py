@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-import reference_sparsify as reference
-from reference import capsule_psf
+from naive import sparsify as naive
+from naive.psfs import capsule_psf
 from skimage.metrics import structural_similarity
 
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
@@ -47,8 +47,8 @@ def test_the_form_estimates_structural_dissimilarity(angle):
     members, size = orbits(edge_offsets(psf, 4), (IDENTITY,))
     equations = similarity_equations(psf, members, size, (IDENTITY,))
     value = equations.solve(equations.free_inverse())
-    dense = (reference.green_columns(members[:, 0], psf.shape[:2]) @ value)[..., 0]
-    estimate, exact = equations.objective(value), reference.dissimilarity_form(psf[..., 0], dense - psf[..., 0])
+    dense = (naive.green_columns(members[:, 0], psf.shape[:2]) @ value)[..., 0]
+    estimate, exact = equations.objective(value), naive.dissimilarity_form(psf[..., 0], dense - psf[..., 0])
     measured = 1 - structural_similarity(
         psf[..., 0], dense, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1.0
     )
@@ -61,15 +61,15 @@ def test_its_minimum_is_more_similar_than_plain_least_squares():
     offset = edge_offsets(psf, 4)
     members, size = orbits(offset, (IDENTITY,))
     equations = similarity_equations(psf, members, size, (IDENTITY,))
-    columns = reference.green_columns(offset, psf.shape[:2])
+    columns = naive.green_columns(offset, psf.shape[:2])
     target = np.array([0, 0, 0, 0, 2, 2]) * psf.sum()
-    plain = reference.constrained_least_squares(
-        columns.reshape(-1, len(offset)), psf.ravel(), reference.moment_rows(offset), target
+    plain = naive.constrained_least_squares(
+        columns.reshape(-1, len(offset)), psf.ravel(), naive.moment_rows(offset), target
     )
     fitted = equations.solve(equations.free_inverse())[:, 0]
-    losses = [reference.dissimilarity_form(psf[..., 0], columns @ v - psf[..., 0]) for v in (fitted, plain)]
+    losses = [naive.dissimilarity_form(psf[..., 0], columns @ v - psf[..., 0]) for v in (fitted, plain)]
     assert losses[0] < 0.8 * losses[1]
-    np.testing.assert_allclose(reference.moment_rows(offset) @ fitted, target, atol=1e-8 * psf.sum() * 100)
+    np.testing.assert_allclose(naive.moment_rows(offset) @ fitted, target, atol=1e-8 * psf.sum() * 100)
 
 
 @pytest.mark.parametrize("group", [group for group in GROUPS if not any(g.transpose for g in group)], ids=len)

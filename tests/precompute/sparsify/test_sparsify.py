@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from reference import capsule_psf, disc_coverage
+from naive.psfs import capsule_psf, disc_coverage
 from scipy.ndimage import gaussian_filter
 
 import spreadlets.precompute.sparsify.direct as direct_module

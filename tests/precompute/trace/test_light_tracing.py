@@ -1,7 +1,7 @@
 import numba
 import numpy as np
 import pytest
-import reference
+from naive import psfs
 from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError
@@ -38,7 +38,7 @@ def sharp(*values):
 @compiled
 @pytest.mark.parametrize("radius", [0.3, 1.0, 4.0, 7.7, 16.0, 30.3, 64.0])
 def test_disc_is_the_analytic_one(radius):
-    assert relative_l1(trace_psf(SIMPLE, sharp(radius)), reference.disc_coverage(radius)) < 1e-4
+    assert relative_l1(trace_psf(SIMPLE, sharp(radius)), psfs.disc_coverage(radius)) < 1e-4
 
 
 @compiled
@@ -47,44 +47,44 @@ def test_disc_is_the_analytic_one(radius):
     [(4, 20, 0.5), (4, 0.5, 0.1), (30, 60, 0.0), (30.3, 60, 0.3), (8, 100, 0.0), (8, 100, np.pi / 4), (64, 3, 0.2)],
 )
 def test_capsule_is_the_analytic_one(radius, length, angle):
-    psf = trace_psf(COMBINED, sharp(radius, length), direction=angle)
-    assert relative_l1(psf, reference.capsule_psf(radius, length, angle)) < L1_BUDGET
+    psf = trace_psf(COMBINED, sharp(radius, length), angle=angle)
+    assert relative_l1(psf, psfs.capsule_psf(radius, length, angle)) < L1_BUDGET
 
 
 @compiled
 def test_traced_psf_agrees_with_random_points():
-    expected = reference.trace_points(5.0, 9.0, 0.7, 21, 200_000, np.random.default_rng(1))
+    expected = psfs.trace_points(5.0, 9.0, 0.7, 21, 200_000, np.random.default_rng(1))
     # 200 000 points over some 170 px leave a relative error of about 0.8 / sqrt(1200).
-    assert relative_l1(trace_psf(COMBINED, sharp(5, 9), direction=0.7), expected) < 0.035
+    assert relative_l1(trace_psf(COMBINED, sharp(5, 9), angle=0.7), expected) < 0.035
 
 
 @compiled
 @pytest.mark.parametrize("box", [[[3.0, 5.0]], [[20.0, 22.0]], [[0.0, 2.0]]])
 def test_prefilter_is_the_tent_average_of_discs(box):
     size = 2 * int(np.ceil(box[0][1] + 1)) + 1
-    radii, weights = reference.tent_nodes(*box[0])
-    expected = sum(w * reference.disc_coverage(r, size=size) for r, w in zip(radii, weights, strict=True))
+    radii, weights = psfs.tent_nodes(*box[0])
+    expected = sum(w * psfs.disc_coverage(r, size=size) for r, w in zip(radii, weights, strict=True))
     assert relative_l1(trace_psf(SIMPLE, box), expected) < L1_BUDGET
 
 
 @compiled
 def test_prefilter_is_the_tent_average_over_motion_and_direction():
-    lengths, length_weights = reference.tent_nodes(20.0, 30.0, 10)
-    angles, angle_weights = reference.tent_nodes(0.2, 0.6, 10)
+    lengths, length_weights = psfs.tent_nodes(20.0, 30.0, 10)
+    angles, angle_weights = psfs.tent_nodes(0.2, 0.6, 10)
     expected = sum(
-        v * w * reference.capsule_psf(6.0, length, angle, 45)
+        v * w * psfs.capsule_psf(6.0, length, angle, 45)
         for length, v in zip(lengths, length_weights, strict=True)
         for angle, w in zip(angles, angle_weights, strict=True)
     )
-    psf = trace_psf(COMBINED, [[6, 6], [20, 30]], direction=0.4, direction_half_width=0.2)
+    psf = trace_psf(COMBINED, [[6, 6], [20, 30]], angle=0.4, angle_half_width=0.2)
     assert relative_l1(psf, expected) < L1_BUDGET
-    assert relative_l1(trace_psf(COMBINED, [[6, 6], [20, 30]], direction=0.4), expected) > 2 * L1_BUDGET
+    assert relative_l1(trace_psf(COMBINED, [[6, 6], [20, 30]], angle=0.4), expected) > 2 * L1_BUDGET
 
 
 @compiled
 @pytest.mark.parametrize("model, box", [(SIMPLE, [[10, 12]]), (COMBINED, [[10, 12], [20, 25]])])
 def test_result_does_not_depend_on_the_thread_count(model, box):
-    first, *others = for_thread_counts(lambda: trace_psf(model, box, direction=0.3, direction_half_width=0.05))
+    first, *others = for_thread_counts(lambda: trace_psf(model, box, angle=0.3, angle_half_width=0.05))
     for other in others:
         np.testing.assert_array_equal(other, first)
 
@@ -92,7 +92,7 @@ def test_result_does_not_depend_on_the_thread_count(model, box):
 @compiled
 def test_seed_changes_the_noise_and_nothing_else():
     box = [[10, 12], [20, 25]]
-    first, again, other = (trace_psf(COMBINED, box, direction=0.3, rays=300_000, seed=seed) for seed in (0, 0, 1))
+    first, again, other = (trace_psf(COMBINED, box, angle=0.3, rays=300_000, seed=seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
     assert 0 < relative_l1(first, other[..., 0]) < 2 * L1_BUDGET
     assert first.sum() == pytest.approx(1.0, abs=1e-12) == other.sum()
@@ -100,7 +100,7 @@ def test_seed_changes_the_noise_and_nothing_else():
 
 @compiled
 def test_more_rays_lower_the_error():
-    expected = reference.disc_coverage(30.3)
+    expected = psfs.disc_coverage(30.3)
     errors = [relative_l1(trace_psf(SIMPLE, sharp(30.3), rays=rays), expected) for rays in (3_000, 30_000, 300_000)]
     assert errors[0] > 4 * errors[1] > 16 * errors[2]
 
@@ -117,7 +117,7 @@ def test_disc_has_the_symmetry_of_the_lattice(cell):
 @pytest.mark.parametrize("cell", [0, 40, 200, 399])
 def test_cells_have_unit_energy_half_turn_symmetry_and_a_tight_frame(cell):
     grid = PsfGrid.of(COMBINED)
-    psf = trace_psf(COMBINED, grid.box(cell), direction=0.2, direction_half_width=grid.direction_half_width(cell))
+    psf = trace_psf(COMBINED, grid.box(cell), angle=0.2, angle_half_width=grid.angle_half_width(cell))
     assert psf.sum() == pytest.approx(1.0, abs=1e-12)
     assert psf.shape[0] % 2 == psf.shape[1] % 2 == 1 and psf.shape[2] == 1
     np.testing.assert_array_equal(psf[::-1, ::-1], psf)
@@ -128,7 +128,7 @@ def test_cells_have_unit_energy_half_turn_symmetry_and_a_tight_frame(cell):
 
 @compiled
 def test_motion_to_the_right_and_down_fills_that_diagonal():
-    psf = trace_psf(COMBINED, sharp(1, 20), direction=np.pi / 4)[..., 0]
+    psf = trace_psf(COMBINED, sharp(1, 20), angle=np.pi / 4)[..., 0]
     middle = psf.shape[0] // 2
     assert psf[middle + 5, middle + 5] > 0 and psf[middle - 5, middle - 5] > 0
     assert psf[middle + 5, middle - 5] == 0 == psf[middle - 5, middle + 5]
@@ -139,13 +139,13 @@ def test_motion_to_the_right_and_down_fills_that_diagonal():
 def test_folded_direction_reproduces_the_psf(angle):
     grid = PsfGrid.of(COMBINED)
     cell = int(grid.find([6.0, 40.0]))
-    step = grid.direction_half_width(cell) * grid.coordinate(cell)[1] / 2
-    index, transpose, flip_row, flip_col = grid.nearest_direction(cell, angle)
-    psf = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), direction=grid.directions(cell)[index])
+    step = grid.angle_half_width(cell) * grid.coordinate(cell)[1] / 2
+    index, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle)
+    psf = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), angle=grid.angles(cell)[index])
     psf = psf.swapaxes(0, 1) if transpose else psf
     psf = psf[::-1] if flip_row else psf
     psf = psf[:, ::-1] if flip_col else psf
-    wanted = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), direction=angle)
+    wanted = trace_psf(COMBINED, sharp(*grid.coordinate(cell)), angle=angle)
     # The nearest node is off by a quarter step along the path on average, over an edge of 1 / 6 of the area per px.
     assert relative_l1(psf, on_canvas(wanted, (61, 61))) < 0.06 * step
 
@@ -171,7 +171,7 @@ def test_deposit_agrees_with_the_naive_twin(n_channels):
     plain[3::10] = False
     images[:] = 0.0
     deposit_segments(0, len(images), ends[plain], start[plain], stop[plain], images)
-    expected = reference.deposit_segments(ends[plain], start[plain], stop[plain], np.zeros((13, 15, n_channels)))
+    expected = psfs.deposit_segments(ends[plain], start[plain], stop[plain], np.zeros((13, 15, n_channels)))
     np.testing.assert_allclose(images.sum(axis=0), expected, atol=1e-12)
 
 
@@ -218,10 +218,10 @@ def test_impossible_input_is_refused(model, box, keywords, message):
 def test_psf_midway_between_two_directions_stays_similar(coordinate):
     grid = PsfGrid.of(COMBINED)
     cell = int(grid.find(coordinate))
-    box, spacing = grid.box(cell), grid.direction_half_width(cell)
+    box, spacing = grid.box(cell), grid.angle_half_width(cell)
     for number in (0, 1, 2):
-        stored = trace_psf(COMBINED, box, direction=number * spacing, direction_half_width=spacing)
-        wanted = trace_psf(COMBINED, box, direction=(number + 0.5) * spacing)
+        stored = trace_psf(COMBINED, box, angle=number * spacing, angle_half_width=spacing)
+        wanted = trace_psf(COMBINED, box, angle=(number + 0.5) * spacing)
         half = np.maximum(stored.shape[:2], wanted.shape[:2]) // 2
         pair = [on_canvas(psf, tuple(2 * half + 1)) for psf in (wanted, stored)]
         # A third of a pixel between neighbours is what brings the sharpest lines here; steps of 0.5 px leave 0.94.
@@ -237,6 +237,6 @@ def test_a_psf_too_wide_to_be_traced_is_refused():
 def test_the_footprint_is_about_as_large_as_the_psf():
     model = get_model("combined")
     for box in ([[10.0, 11.0], [0.0, 2.0]], [[30.0, 32.0], [60.0, 64.0]], [[0.0, 1.0], [80.0, 82.0]]):
-        pixels = psf_footprint(model, box, direction=0.0, direction_half_width=0.0, side=1)
+        pixels = psf_footprint(model, box, angle=0.0, angle_half_width=0.0, side=1)
         psf = trace_psf(model, box, rays=20_000)
         assert 0.5 * psf.size < pixels < 2.0 * psf.size

@@ -2,7 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
-from reference_pyramid import published_naive, pyramid_naive
+from naive.pyramid import published_naive, pyramid_naive
 from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError

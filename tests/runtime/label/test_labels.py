@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from spreadlets.psf.model import get_model
-from spreadlets.runtime.label.labels import DIRECTIONS, Labels, View, coordinates, ignored_effects, view_differences
+from spreadlets.runtime.label.labels import HEADINGS, Labels, View, coordinates, ignored_effects, view_differences
 from spreadlets.scene.camera import ThinLens
 
 DEPTH = np.array([[2.0, 3.0, 4.0], [5.0, np.inf, 7.0]], np.float32)
@@ -36,8 +36,8 @@ def test_distance_of_the_background_is_infinite():
 
 
 def test_directions_are_those_of_motion_and_of_the_place():
-    np.testing.assert_array_equal(DIRECTIONS["motion"](labels())[1, 2], [6.0, 8.0])
-    place = DIRECTIONS["azimuth"](labels())
+    np.testing.assert_array_equal(HEADINGS["motion"](labels())[1, 2], [6.0, 8.0])
+    place = HEADINGS["azimuth"](labels())
     np.testing.assert_array_equal(place[0], [[-1.0, -0.5], [0.0, -0.5], [1.0, -0.5]])
 
 

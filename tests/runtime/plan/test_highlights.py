@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference import capsule_psf, disc_coverage
+from naive.psfs import capsule_psf, disc_coverage
 
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.metrics import psf_similarity
@@ -191,15 +191,16 @@ def test_a_highlight_has_the_coordinate_that_the_figures_of_a_build_are_of(small
     """What the plan packs and unpacks is what `spreadlets.psf.exact.rounded` says."""
     rng = np.random.default_rng(3)
     n, model = 200, small_combined.grid.model
-    radius, length, direction = rng.uniform(0.2, 30.0, n), rng.uniform(0.0, 40.0, n), rng.uniform(-3.1, 3.1, n)
+    radius, length, angle = rng.uniform(0.2, 30.0, n), rng.uniform(0.0, 40.0, n), rng.uniform(-3.1, 3.1, n)
     side = np.where(rng.random(n) < 0.5, -1, 1)
-    path = (length * np.stack([np.cos(direction), np.sin(direction)])).T.astype(np.float32)[None]
+    path = (length * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32)[None]
     code = np.empty((1, n), np.int64)
-    shape = (side * radius).astype(np.float32)[None], length.astype(np.float32)[None], path
+    radii, lengths = (side * radius).astype(np.float32)[None], length.astype(np.float32)[None]
+    labels = _highlight_kernels.CodedLabels(radii, lengths, path)
     light = np.full((1, n), np.inf, np.float32)
-    steps = exact.RADIUS_STEPS, exact.longest_step(model, 1), exact.THIN_RADIUS_PX, False
-    _highlight_kernels.highlight_codes(0, 1, np.ones((1, n), np.int64), light, shape, steps, (0.0, np.inf), code)
+    steps = _highlight_kernels.CodeSteps(exact.RADIUS_STEPS, exact.longest_step(model, 1), exact.THIN_RADIUS_PX, False)
+    _highlight_kernels.highlight_codes(0, 1, np.ones((1, n), np.int64), light, labels, steps, (0.0, np.inf), code)
     drawn = highlights._coordinates(code[0], model, 1, 1.0)
-    said = exact.rounded(np.stack([radius, length], axis=1), direction, np.ones(n, np.int64), model)
+    said = exact.rounded(np.stack([radius, length], axis=1), angle, np.ones(n, np.int64), model)
     for one, other in zip(drawn, said, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)

@@ -3,6 +3,7 @@ import pytest
 from threads import for_thread_counts
 
 from spreadlets.runtime.plan import pool as pooling
+from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan.pool import place_pixels, pool
 
 H, W, N_VARIANTS, N_LAYERS = 6, 9, 3, 2
@@ -15,7 +16,7 @@ def make_samples(rng, *, border, spread=5.0):
     weight = rng.random((H, W)).astype(np.float32)
     label = rng.integers(-1, N_VARIANTS * N_LAYERS, (H, W)).astype(np.int32)
     shift = rng.normal(0, spread, (H, W, 2)).astype(np.float32)
-    colours = tuple(rng.random((n, 4)).astype(np.float32) for n in (W, W, H, H)) if border else None
+    colours = Colours(*(rng.random((n, 4)).astype(np.float32) for n in (W, W, H, H))) if border else None
     if border:
         colours[0][3] = 0.0  # nothing to continue
     return radiance, weight, label, shift, colours

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from reference_lrdm import gaussian_image, reprojected_sums, set_up
+from naive.lrdm import gaussian_image, reprojected_sums, set_up
 from scipy.ndimage import map_coordinates
 from threads import for_thread_counts
 

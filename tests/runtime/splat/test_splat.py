@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from reference_splat import splat_naive
+from naive.splat import splat_naive
 from threads import for_thread_counts
 
 from spreadlets.runtime.label.labels import NO_SHIFT

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import OpenEXR
 import pytest
-from reference_deep import flatten, integrate
-from reference_deep import tidy as tidy_reference
+from naive.deep import flatten, integrate
+from naive.deep import tidy as tidy_reference
 
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.files import deep

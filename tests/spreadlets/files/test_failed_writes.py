@@ -35,7 +35,7 @@ def samples():
 
 def plot_database(path):
     with sp.open_database("simplelens") as database:
-        plot.plot_database(database, path, lambda cell, direction, scale: np.ones((9, 9, 1)))
+        plot.plot_database(database, path, lambda cell, pose, scale: np.ones((9, 9, 1)))
 
 
 WRITERS = {

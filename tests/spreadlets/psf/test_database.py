@@ -18,7 +18,7 @@ def make_cells(grid, seed=0):
     return [
         [
             CellRecord(
-                float(direction),
+                float(angle),
                 Spreadlet(
                     rng.integers(-9, 10, (5 + cell % 3, 2)).astype(np.int16),
                     rng.normal(size=(5 + cell % 3, 1)).astype(np.float32),
@@ -26,7 +26,7 @@ def make_cells(grid, seed=0):
                 ),
                 STATISTICS,
             )
-            for direction in grid.directions(cell)
+            for angle in grid.angles(cell)
         ]
         for cell in range(grid.n_cells)
     ]
@@ -49,7 +49,7 @@ def test_round_trip_keeps_every_point(grid, path):
         assert opened.n_cells == 28
         assert opened.n_spreadlets == grid.direction_counts.sum()
         for cell, records in enumerate(cells):
-            assert np.array_equal(opened.directions(cell), [record.direction for record in records])
+            assert np.array_equal(opened.angles(cell), [record.angle for record in records])
             for number, record in enumerate(records):
                 stored = opened.cell(cell, number)
                 assert np.array_equal(stored.offset_rc, record.spreadlet.offset_rc)
@@ -79,7 +79,7 @@ def test_a_cell_out_of_range_is_named(path):
     with open_database(path) as opened:
         with pytest.raises(InvalidParameterError, match="cell 28: the database has cells 0 to 27"):
             opened.cell(28)
-        with pytest.raises(InvalidParameterError, match="direction 99 of cell 0"):
+        with pytest.raises(InvalidParameterError, match="pose 99 of cell 0"):
             opened.cell(0, 99)
 
 
@@ -234,7 +234,7 @@ def lengthen_one(file):
         (drop_values, "dataset 'value' is missing"),
         (swap_starts, "'point_start' is not a list of rising starts"),
         (shrink_shape, "cell_start"),
-        (widen_step, "directions stored for the cells"),
+        (widen_step, "angles stored for the cells"),
         (rename_model, "telescope"),
         (spoil_provenance, "malformed"),
         (unmark, "not a spreadlet database"),
@@ -253,9 +253,9 @@ def lengthen_one(file):
         (attach_a_reference, "'more' refers to something else|is not a number or text"),
         (grow_shape, "is too large"),
         (widen_range, "the axes end at"),
-        (narrow_step, "directions of a cell"),
+        (narrow_step, "poses of a cell"),
         (spoil_direct, "'direct' holds 7"),
-        (turn_directions, "directions stored for the cells"),
+        (turn_directions, "angles stored for the cells"),
         (lengthen_one, "whose steps are"),
     ],
 )
@@ -320,8 +320,8 @@ def test_large_databases_are_written_piece_by_piece(grid, tmp_path, monkeypatch)
     assert taken == list(range(28))
     with open_database(tmp_path / "b.h5") as opened:
         for number, records in enumerate(make_cells(grid)):
-            for direction, record in enumerate(records):
-                assert np.array_equal(opened.cell(number, direction).offset_rc, record.spreadlet.offset_rc)
+            for pose, record in enumerate(records):
+                assert np.array_equal(opened.cell(number, pose).offset_rc, record.spreadlet.offset_rc)
 
 
 def test_a_value_beyond_any_laplacian_is_refused(path):

@@ -101,23 +101,23 @@ def test_wrong_shapes_are_refused():
 def test_directions_keep_the_tip_within_half_a_step(step_px):
     grid = PsfGrid(COMBINED.model, COMBINED.shape, direction_step_px=step_px)
     for cell in range(grid.n_cells):
-        nodes, longest = grid.directions(cell), grid.box(cell)[1, 1]
+        nodes, longest = grid.angles(cell), grid.box(cell)[1, 1]
         assert len(nodes) == grid.direction_counts[cell]
         if longest <= 1.0:
-            assert nodes.tolist() == [0.0] and grid.direction_half_width(cell) == 0.0
+            assert nodes.tolist() == [0.0] and grid.angle_half_width(cell) == 0.0
             continue
         assert nodes[0] == 0.0 and nodes[-1] == OCTANT
-        np.testing.assert_allclose(np.diff(nodes), grid.direction_half_width(cell))
+        np.testing.assert_allclose(np.diff(nodes), grid.angle_half_width(cell))
         step = step_px * min(1 + grid.box(cell)[0, 0] / 2.4, 16)
-        assert grid.direction_half_width(cell) / 2 * longest / 2 <= step / 2 * (1 + 1e-12)
-        assert grid.direction_half_width(cell) * longest / 2 >= step * (1 - 1 / (len(nodes) - 1)) * 0.99
+        assert grid.angle_half_width(cell) / 2 * longest / 2 <= step / 2 * (1 + 1e-12)
+        assert grid.angle_half_width(cell) * longest / 2 >= step * (1 - 1 / (len(nodes) - 1)) * 0.99
 
 
 def test_short_motion_needs_one_direction():
     grid = PsfGrid.of(get_model("combined", max_motion=40.0), 900)
     assert grid.box(0)[1, 1] < 1.0
-    assert grid.directions(0).tolist() == [0.0]
-    assert grid.direction_half_width(0) == 0.0
+    assert grid.angles(0).tolist() == [0.0]
+    assert grid.angle_half_width(0) == 0.0
 
 
 def apply_symmetry(dx, dy, transpose, flip_row, flip_col):
@@ -129,20 +129,20 @@ def apply_symmetry(dx, dy, transpose, flip_row, flip_col):
 @given(st.floats(-20.0, 20.0), st.integers(0, COMBINED.n_cells - 1))
 @settings(deadline=None, max_examples=300)
 def test_folded_direction_maps_back_to_the_angle(angle, cell):
-    index, *symmetry = COMBINED.nearest_direction(cell, angle)
-    nodes = COMBINED.directions(cell)
+    index, *symmetry = COMBINED.nearest_pose(cell, angle)
+    nodes = COMBINED.angles(cell)
     dx, dy = apply_symmetry(np.cos(nodes[index]), np.sin(nodes[index]), *symmetry)
     # Half a turn is no difference, hence the absolute value.
     off = np.arccos(min(1.0, abs(dx * np.cos(angle) + dy * np.sin(angle))))
-    spacing = COMBINED.direction_half_width(cell) or 2 * OCTANT
+    spacing = COMBINED.angle_half_width(cell) or 2 * OCTANT
     assert off <= spacing / 2 + 1e-7
 
 
 def test_directions_have_one_representation_each():
     cell = int(COMBINED.find([8.0, 100.0]))
-    n_nodes = len(COMBINED.directions(cell))
+    n_nodes = len(COMBINED.angles(cell))
     angles = np.linspace(-np.pi, np.pi, 20001)
-    found = set(zip(*(part.tolist() for part in COMBINED.nearest_direction(cell, angles)), strict=True))
+    found = set(zip(*(part.tolist() for part in COMBINED.nearest_pose(cell, angles)), strict=True))
     assert len(found) == 4 * (n_nodes - 1)
     assert {flags for index, *flags in map(tuple, found) for flags in [tuple(flags)] if index == 0} == {
         (False, False, False),
@@ -150,8 +150,8 @@ def test_directions_have_one_representation_each():
     }
 
 
-def test_nearest_direction_broadcasts():
-    index, transpose, flip_row, flip_col = COMBINED.nearest_direction(np.array([[3], [40]]), np.array([0.1, 1.2, 2.0]))
+def test_nearest_pose_broadcasts():
+    index, transpose, flip_row, flip_col = COMBINED.nearest_pose(np.array([[3], [40]]), np.array([0.1, 1.2, 2.0]))
     for part, dtype in ((index, np.int64), (transpose, np.bool_), (flip_row, np.bool_), (flip_col, np.bool_)):
         assert part.shape == (2, 3) and part.dtype == dtype
     assert transpose[0].tolist() == [False, True, True]
@@ -159,8 +159,8 @@ def test_nearest_direction_broadcasts():
 
 def test_model_without_direction_needs_no_symmetry():
     grid = PsfGrid.of(get_model("simplelens"))
-    assert grid.directions(5).tolist() == [0.0]
-    assert [part.tolist() for part in grid.nearest_direction(5, [1.0, 2.0])] == [[0, 0]] + 3 * [[False, False]]
+    assert grid.angles(5).tolist() == [0.0]
+    assert [part.tolist() for part in grid.nearest_pose(5, [1.0, 2.0])] == [[0, 0]] + 3 * [[False, False]]
 
 
 SYMMETRIES = [
@@ -183,14 +183,14 @@ def test_every_direction_and_side_comes_from_the_nearest_pose(symmetry):
     cell = int(grid.find([4.0, 60.0]))
     angles = np.random.default_rng(3).uniform(-7.0, 7.0, 200)
     for in_front in (False, True):
-        number, transpose, flip_row, flip_col = grid.nearest_direction(cell, angles, in_front)
-        stored = grid.directions(cell)[number]
+        number, transpose, flip_row, flip_col = grid.nearest_pose(cell, angles, in_front)
+        stored = grid.angles(cell)[number]
         x, y = np.cos(stored), np.sin(stored)
         x, y = np.where(transpose, y, x), np.where(transpose, x, y)
         x, y = np.where(flip_col, -x, x), np.where(flip_row, -y, y)
         along = x * np.cos(angles) + y * np.sin(angles)
         aligned = along if symmetry.arrow else np.abs(along)
-        assert aligned.min() > np.cos(1.01 * grid.direction_half_width(cell) / 2)
+        assert aligned.min() > np.cos(1.01 * grid.angle_half_width(cell) / 2)
         sides = {grid.side(cell, int(each)) for each in number}
         assert sides == ({-1} if in_front and symmetry.sign == "stored" else {1})
         if not symmetry.lattice:
@@ -202,7 +202,7 @@ def test_every_direction_and_side_comes_from_the_nearest_pose(symmetry):
 def test_poses_are_counted_as_they_are_listed(symmetry):
     grid = posed_grid(symmetry)
     for cell in (0, 30, 200, 399):
-        assert len(grid.directions(cell)) == grid.pose_counts[cell]
+        assert len(grid.angles(cell)) == grid.pose_counts[cell]
     spans = symmetry.n_spans if symmetry.n_spans == 1 else symmetry.n_spans * (grid.direction_counts - 1)
     expected = np.maximum(grid.direction_counts if symmetry.n_spans == 1 else spans, 1) * symmetry.n_sides
     np.testing.assert_array_equal(grid.pose_counts, expected)

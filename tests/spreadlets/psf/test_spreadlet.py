@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from reference import capsule_psf
+from naive.psfs import capsule_psf
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.laplacian import laplacian

@@ -64,7 +64,7 @@ def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn
     cells = [[absent_record(grid, cell, n) for n in range(grid.direction_counts[cell])] for cell in range(grid.n_cells)]
     for cell in (5, 20):
         figures = {name: column[small_combined.cell_start[cell] + 1] for name, column in statistics.items()}
-        cells[cell][1] = CellRecord(cells[cell][1].direction, small_combined.cell(cell, 1), figures)
+        cells[cell][1] = CellRecord(cells[cell][1].angle, small_combined.cell(cell, 1), figures)
     write_database(tmp_path / "few.h5", grid, cells, {})
     with open_database(tmp_path / "few.h5") as few:
         plot_database(few, tmp_path / "quality.png", DensePsfs(few))
@@ -97,7 +97,7 @@ def test_an_unwritable_place_is_one_clear_error(small_combined, tmp_path, name):
 def test_a_failure_leaves_the_old_picture(small_combined, tmp_path):
     (tmp_path / "quality.png").write_bytes(b"old")
 
-    def failing(cell, direction, scale):
+    def failing(cell, pose, scale):
         raise InvalidParameterError("no PSF")
 
     with pytest.raises(InvalidParameterError, match="no PSF"):

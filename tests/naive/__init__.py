@@ -1,0 +1,1 @@
+"""Naive twins of the fast paths: slow, plain, and independent of the package."""
