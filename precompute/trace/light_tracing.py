@@ -17,7 +17,6 @@ the direction. Its dimensions are part of the same low-discrepancy set, so it co
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
@@ -97,6 +96,8 @@ def draw_segments(
     InvalidParameterError
         If the PSF reaches farther than `MAX_REACH_PX`.
     """
+    from scipy import ndimage  # only tracing needs it, and it takes time to import
+
     reach = tracer.reach(box)
     if not reach <= MAX_REACH_PX:
         raise InvalidParameterError(
@@ -119,7 +120,7 @@ def draw_segments(
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
     for first in range(0, n_points, chunk):
         for_blocks(deposit_segments, len(images), *make_segments(first, n_points, chunk), images)
-    psf = gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
+    psf = ndimage.gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
     return tracer.symmetrise(np.asarray(psf))
 
 

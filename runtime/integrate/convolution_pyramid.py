@@ -28,7 +28,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
@@ -364,7 +363,11 @@ def _make_solver(key: SolverKey) -> _Solver:
 
 def _fast_side(side: int) -> int:
     """Smallest side, at least as long, whose sine transform is fast."""
-    return side if side <= LONGEST_ODD_SIDE else int(next_fast_len(side + 1, real=True)) - 1
+    if side <= LONGEST_ODD_SIDE:
+        return side
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(side + 1, real=True)) - 1
 
 
 class _ExactSolver:

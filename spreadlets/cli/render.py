@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import click
 import cloup
 
+from spreadlets.arrays import Image
 from spreadlets.cli.options import (
     TableChoice,
     camera_of,
@@ -146,9 +147,17 @@ def synth(
         sys.exit(EXIT_FAILURE)
 
 
+def _compared(image: Image, truth: Image | None) -> dict[str, float]:
+    """Return the errors of an image, if there is a reference."""
+    if truth is None:
+        return {}
+    from spreadlets import metrics
+
+    return metrics.compare(image, truth)
+
+
 def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
-    from spreadlets import metrics
     from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
@@ -170,7 +179,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
     shown = placed(image, frame.raster.data, frame.raster.display)
-    figures = metrics.compare(shown, truth) if truth is not None else {}
+    figures = _compared(shown, truth)
     further = {}
     if job.pass_through:
         further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
@@ -309,7 +318,6 @@ def reconstruct(
 
     Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
     """
-    from spreadlets import metrics
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
@@ -330,7 +338,7 @@ def reconstruct(
     image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
-    figures = metrics.compare(image, truth) if truth is not None else {}
+    figures = _compared(image, truth)
     with clock.step("write"):
         images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
