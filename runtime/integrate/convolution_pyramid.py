@@ -524,6 +524,8 @@ class _LevelSolver:
         for level in range(1, n_coarse):
             self._coarsen(level, self.sources[level - 1], self.nothing)
         coarsest = self.sources[-1].reshape(*self.shapes[-1], -1)
-        self.answers[-1][:] = _rows(solve_dirichlet(coarsest))
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Overflow is found, and reported in words, at the end.
+            self.answers[-1][:] = _rows(solve_dirichlet(coarsest))
         for level in reversed(range(1, n_coarse)):
             self._relax(level, self.nothing, self.sources[level - 1], self.answers[level - 1])
