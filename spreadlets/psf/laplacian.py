@@ -31,8 +31,8 @@ _PANEL_NODES = 32
 _WIDEST_PANEL = 0.5
 
 LARGEST_BY_MATRIX = 64
-"""Side, px, up to which a sine transform is a product with its matrix: twice as fast at 40 px, as fast at 64; and SciPy,
-which takes time to import, is not needed."""
+"""Side, px, up to which a sine transform is a product with its matrix: twice as fast at 40 px, as fast at 64; and it
+needs no SciPy, which takes time to import."""
 
 
 def laplacian(image: RealArray) -> RealArray:
