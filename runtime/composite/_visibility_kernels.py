@@ -71,6 +71,18 @@ def add_cover(begin, end, variant, layer, farther, radiance, weight, number, nea
 
 
 @kernel
+def add_listed_cover(variant, layer, farther, radiance, weight, at, number, nearer, beyond):
+    """Do as `add_cover` for a list of pixels at ``at`` (h, w, 2), int32: row and column in the frame."""
+    for i in range(variant.shape[0]):
+        for j in range(variant.shape[1]):
+            if variant[i, j] >= 0 and layer[i, j] <= number:
+                row, col = at[i, j, 0], at[i, j, 1]
+                cover = radiance[i, j, 3] * weight[i, j]
+                nearer[row, col] += cover * _share_before(layer[i, j], farther[i, j], number)
+                beyond[row, col] -= cover * _share_before(layer[i, j], farther[i, j], number + 1)
+
+
+@kernel
 def scatter_passing(members, number, sample, moments, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +61,9 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
     for number in range(_surface_kernels.MOST):
         weight = np.ascontiguousarray(share[:, :, number])
         if weight.any():
-            yield _surface(layer, np.ascontiguousarray(colours[:, :, number]), source[:, :, number]), weight
+            shown = np.ascontiguousarray(colours[:, :, number])
+            # The first surface is the pixel's own.
+            yield _surface(layer, shown, source[:, :, number]) if number else replace(layer, radiance=shown), weight
 
 
 def _places(layer: Layer, camera: ThinLens) -> Image:
@@ -111,13 +114,16 @@ def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:
     """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
-    place = source[..., 0], source[..., 1]
-    before, after = layer.motion_prev, layer.motion_next
-    return replace(
-        layer,
-        radiance=colours,
-        depth=layer.depth[place],
-        motion=layer.motion[place],
-        motion_prev=None if before is None else before[place],
-        motion_next=None if after is None else after[place],
-    )
+    planes: dict[str, Any] = {
+        name: _at_sources(getattr(layer, name), source)
+        for name in ("depth", "motion", "motion_prev", "motion_next")
+        if getattr(layer, name) is not None
+    }
+    return replace(layer, radiance=colours, **planes)
+
+
+def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
+    taken = np.empty_like(values)
+    shape = (*values.shape[:2], -1)
+    for_bands(_label_kernels.take, len(values), values.reshape(shape), source, taken.reshape(shape))
+    return taken
