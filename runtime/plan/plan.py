@@ -236,13 +236,16 @@ def _assign(
     stochastic: bool,
 ) -> tuple[int, list[Membership]]:
     """Divide the range of depths, and assign each pixel to its layers; return their number, too."""
-    divide, usual = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
     frames = [
         (each.labels, index if each.curved is None else np.where(each.curved, np.int32(0), index))
         for each, index in zip(pixel_sets, indices, strict=True)
         if not each.is_list
     ]
-    layering = divide(frames, n_layers, usual if softness is None else softness)
+    lists = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True) if each.is_list]
+    if stochastic:
+        layering = Layering.equal(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
+    else:
+        layering = Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
     members = [layering.members(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True)]
     return layering.n_layers, members
 

@@ -52,8 +52,8 @@ def naive(samples):
 
 
 def pooled(samples):
-    placed = [place_pixels(*each[:4], WIDE, each[4]) for each in samples]
-    return list(pool(placed, REACHES, N_LAYERS))
+    placed = [place_pixels(*each[:4], None, WIDE, each[4]) for each in samples]
+    return list(pool(placed, (H, W), REACHES, N_LAYERS))
 
 
 def as_dict(splats):
