@@ -65,20 +65,26 @@ def find_steps(passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]], low: floa
     """
     sums, meetings = np.zeros((4, n_steps)), np.zeros(n_steps * n_steps)
     seams = np.zeros(n_steps + 1)
+    # Thin the rows of large frames.
     stride = max(1, math.isqrt(passes[0][1].size // MEETING_PIXELS))
     places = []
     for labels, variant in passes:
+        # Divide inverse depth into steps.
         position = (-1.0 / labels.view.depth[::stride].astype(np.float64) - low) * (n_steps / (high - low))
         drawn = variant[::stride] >= 0
         position = np.where(drawn, np.clip(position, 0.0, n_steps - 0.5), NOWHERE)
         places.append(np.where(drawn, position, -1.0).astype(np.int64))
+        # Sum up CoC radius and motion in each step.
         values = np.ones_like(labels.coc), labels.coc, labels.path[..., 0], labels.path[..., 1]
         sums += [np.bincount(places[-1][drawn], each[::stride][drawn], n_steps) for each in values]
+        # Count which steps meet along a row, and which borders part neighbours.
         for distance in DISTANCES:
             _add_meetings(places[-1][:, distance:], places[-1][:, :-distance], meetings)
         _add_seams(position[:, 1:], position[:, :-1], seams)
+    # Count which steps meet between the passes.
     for first, second in combinations(places, 2):
         _add_meetings(first, second, meetings)
+    # Normalise the counts and the sums.
     n_pairs = max(len(DISTANCES) * sums[0].sum(), 1.0)
     coc, *path = sums[1:] / np.maximum(sums[0], 1.0)
     return Steps(
