@@ -43,12 +43,14 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
     -----
     Bayesian matting (Chuang et al. 2001) in closed form, for up to three surfaces, whose depths are known.
     """
+    # Undo a filter of the depth.
     height, width = layer.shape
     place, known = _places(layer, camera), np.full(layer.shape, -1.0, np.float32)
     if depth_is_filtered(place):
         layer, known = without_filter(layer, place)
         place = _places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
+    # Divide each pixel among the surfaces around it.
     purity = np.empty_like(place)
     for_bands(_surface_kernels.find_purity, height, place, LEAST_GAP, purity)
     source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
@@ -58,6 +60,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
     if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
         yield layer, None
         return
+    # Gather the first surfaces of all pixels in a layer, then the second and the third.
     for number in range(_surface_kernels.MOST):
         weight = np.ascontiguousarray(share[:, :, number])
         if weight.any():

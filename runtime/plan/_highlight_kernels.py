@@ -125,6 +125,7 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
     ratio, least_known = limits
     for part in range(first, last):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
+        # Begin the sliding sums of the group and its surroundings above the first row.
         total, known, n_cols = np.zeros((2, end - begin)), np.zeros((2, end - begin)), np.empty((2, end - begin))
         for k in range(2):
             for col in range(begin, end):
@@ -134,6 +135,7 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
                 if counts.shape[0]:
                     known[k] += counts[k, row, begin:end]
         for row in range(height):
+            # Slide both down to this row.
             _move_down(total, sums, row, half, begin, end)
             if counts.shape[0]:
                 _move_down(known, counts, row, half, begin, end)
@@ -143,6 +145,7 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
             least = least_known * _pixels_about(row, height, half[1])
             for col in range(begin, end):
                 i = col - begin
+                # Compare the pixel with the mean of the surroundings outside the group.
                 own, n_around, around = (
                     np.float64(light[row, col]),
                     known[1, i] - known[0, i],
@@ -203,8 +206,10 @@ def sources_of_light(begin, end, light, excess, ratio, source):
         for col in range(width):
             here, there = row * width + col, -1
             source[row, col] = here
+            # What does not stand out is its own source.
             if excess[row, col] == 0.0:
                 continue
+            # Climb to the brightest neighbour while that is much brighter.
             for _ in range(EDGE_WIDTH):
                 y, x = here // width, here % width
                 there = here

@@ -73,6 +73,7 @@ def find_steps(
     """
     sums, meetings = np.zeros((4, n_steps)), np.zeros(n_steps * n_steps)
     seams = np.zeros(n_steps + 1)
+    # Thin the rows of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
     places = []
     for labels, variant in frames:
@@ -80,11 +81,14 @@ def find_steps(
         position = _positions(labels, variant, rows, low, high, n_steps)
         places.append(_steps(position))
         sums += _sums(labels, rows, places[-1], n_steps)
+        # Count which steps meet along a row, and which borders part neighbours.
         for distance in DISTANCES:
             _add_meetings(places[-1][:, distance:], places[-1][:, :-distance], meetings)
         _add_seams(position[:, 1:], position[:, :-1], seams)
+    # Count which steps meet between the passes.
     for first, second in combinations(places, 2):
         _add_meetings(first, second, meetings)
+    # Count which steps of a list meet those of the frame at the same pixel.
     for labels, variant in lists:
         assert labels.view.places is not None, "only lists have places"
         at = labels.view.places.at

@@ -179,12 +179,16 @@ def plan_pixels(
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
+    # Choose the variants, and read their cells.
     chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
+    # Assign the pixels to depth layers.
     n_layers, members = _assign(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+    # Lay out what each layer draws.
     tolerance = 0.0 if dense_psf else options.tolerance
     sources, error_bound = _lay_out(
         pixel_sets, chosen, members, n_layers, tolerance, border=border, stochastic=stochastic
     )
+    # Record what is drawn, and what needs no work.
     plan = Plan(
         sources=sources,
         table=chosen.table,
