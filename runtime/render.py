@@ -21,7 +21,8 @@ from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
-from spreadlets.runtime.label.pixels import Pixels, frame_pixels, sample_pixels
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
 from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
@@ -83,7 +84,7 @@ def synthesize(
     options, clock = options or Options(), clock or Clock()
     raster, frame = frame.raster, squared(frame)
     _warn_about_view(database, camera, frame.raster.display.width)
-    effects = {"defocus": options.defocus, "motion": options.motion, "curved": database.grid.model.has_motion}
+    effects = {"defocus": options.defocus, "motion": options.motion, "swept": database.grid.model.has_motion}
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)

@@ -24,7 +24,7 @@ from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.runtime.label.labels import HEADINGS
-from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
 from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE, CodedLabels, CodeSteps

@@ -16,7 +16,8 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
-from spreadlets.runtime.label.pixels import Pixels, frame_pixels
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.pixels import frame_pixels
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
@@ -137,7 +138,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
-        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, swept=grid.model.has_motion):
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}

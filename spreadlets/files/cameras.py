@@ -22,14 +22,14 @@ from spreadlets.errors import (
     option,
 )
 from spreadlets.files.exr_parts import EXR_MAGIC, read_headers
-from spreadlets.scene.camera import MM_PER_M, LensModel, SensorFit, ThinLens, checked_number
+from spreadlets.scene.camera import KEYED, MM_PER_M, LensKey, LensModel, SensorFit, ThinLens, checked_number
 
 MAX_CAMERA_BYTES = 1 << 20
 """A camera file holds a few numbers; 1 MiB is far above any real one and keeps a wrong file from filling memory."""
 
 NUMBER_KEYS = ("focal_length_mm", "sensor_width_mm", "f_number", "focus_distance_m")
 SHUTTER_KEY = "shutter_open_close_frames"
-OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm")
+OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm", "keys", "readout_frames")
 
 DESCRIPTIVE_KEYS = frozenset(
     (
@@ -282,7 +282,26 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
     if "sensor_fit" in content:
         fit = content["sensor_fit"]
         values["sensor_fit"] = fit.lower() if isinstance(fit, str) else fit
+    # What changes while the shutter is open.
+    if "keys" in content:
+        values["keys"] = _json_keys(content["keys"])
+    if "readout_frames" in content:
+        values["readout_frames"] = checked_number("readout_frames", content["readout_frames"])
     return values
+
+
+def _json_keys(given: object) -> tuple[LensKey, ...]:
+    """Return the keys of a lens that a parsed JSON file holds."""
+    allowed = ("time", *KEYED)
+    if not isinstance(given, list) or not all(isinstance(key, dict) and "time" in key for key in given):
+        raise InvalidCameraError(f"keys is {given!r}; it must be a list of objects with time and {', '.join(KEYED)}")
+    found = []
+    for key in given:
+        unknown = sorted(key.keys() - set(allowed))
+        if unknown:
+            raise InvalidCameraError(f"a key has {', '.join(unknown)}; allowed are {', '.join(allowed)}")
+        found.append(LensKey(**{name: checked_number(f"{name} of a key", value) for name, value in key.items()}))
+    return tuple(found)
 
 
 # --- OpenEXR -------------------------------------------------------------------------------------------------------

@@ -84,6 +84,7 @@ def _repeated(layer: Layer, rows: Indices, columns: Indices, factors: tuple[floa
         return repeat(motion) * np.array(factors, np.float32)
 
     before, after = layer.motion_prev, layer.motion_next
+    nearer, farther = layer.depth_prev, layer.depth_next
     return replace(
         layer,
         radiance=repeat(layer.radiance),
@@ -91,5 +92,7 @@ def _repeated(layer: Layer, rows: Indices, columns: Indices, factors: tuple[floa
         motion=scale(layer.motion),
         motion_prev=None if before is None else scale(before),
         motion_next=None if after is None else scale(after),
+        depth_prev=None if nearer is None else repeat(nearer),
+        depth_next=None if farther is None else repeat(farther),
         raster=raster,
     )
