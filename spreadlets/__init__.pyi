@@ -18,6 +18,7 @@ from .files.recognise import ReadOptions as ReadOptions
 from .files.tlfr import write_tlfr as write_tlfr
 from .psf.database import Database as Database
 from .psf.database import open_database as open_database
+from .renderer import Renderer as Renderer
 from .scene.camera import ThinLens as ThinLens
 from .scene.frame import Frame as Frame
 from .scene.samples import SampleBuffer as SampleBuffer

@@ -14,7 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays", "version"},
-    {"compiled", "parallel", "packages"},
+    {"compiled", "parallel", "packages", "runtime.controls"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},
@@ -23,6 +23,8 @@ ORDER = (
     {"precompute.build", "runtime.composite", "runtime.report"},
     {"runtime.finish"},
     {"runtime.render", "runtime.sheared"},
+    {"full_psfs"},
+    {"renderer"},
     {"api"},
     {"reports", "warmup"},
     {"cli"},

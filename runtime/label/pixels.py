@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
-from spreadlets.runtime.label.surfaces import split_surfaces
+from spreadlets.runtime.label.surfaces import Surface, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.samples import SampleBuffer
@@ -20,6 +21,11 @@ CHORD_TOLERANCE = 0.5
 """Largest distance, px, of a curved path from the straight lines that it is drawn by."""
 MOST_SEGMENTS = 4
 """Straight lines of a path at most; their distance falls with the square of their number."""
+
+Split = Callable[[Layer, ThinLens], Iterable[Surface]]
+"""Divides the mixed pixels of a layer between their surfaces."""
+AS_IT_IS = Controls()
+"""The lens without any change."""
 
 
 class Pixels(NamedTuple):
@@ -39,21 +45,31 @@ class Pixels(NamedTuple):
     weight: Image = NOTHING
 
 
-def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, curved: bool = True) -> list[Pixels]:
+def frame_pixels(
+    layer: Layer,
+    camera: ThinLens,
+    *,
+    defocus: bool,
+    motion: bool,
+    curved: bool = True,
+    controls: Controls = AS_IT_IS,
+    split: Split = split_surfaces,
+) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
     Pixels that show several surfaces are divided between them, see `runtime.label.surfaces`. Paths that are curved (the
     motion before the frame's time differs from that after it) become chords of the curve through the three positions,
     each with its share of the shutter; unless ``curved`` is off, as it is for PSFs that do not move: drawn once for
-    each chord they would be ghosts.
+    each chord they would be ghosts. ``controls`` change the lens; ``split`` divides mixed pixels.
     """
     blurred = defocus or (motion and layer.has_motion)
     pixel_sets = []
-    for surface, share in split_surfaces(layer, camera) if blurred else ((layer, None),):
-        straight = _straight_labels(surface, camera, defocus=defocus, motion=motion)
+    for surface, share in split(layer, camera) if blurred else ((layer, None),):
+        straight = _straight_labels(surface, camera, controls, defocus=defocus, motion=motion)
+        radiance = controls.light(surface.radiance, straight.coc)
         for labels, weight in _along_paths(surface, camera, straight, motion and curved):
             weights = [each for each in (share, weight) if each is not None]
-            pixel_sets.append(Pixels(surface.radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
+            pixel_sets.append(Pixels(radiance, labels, np.prod(weights, axis=0) if weights else NOTHING))
     return pixel_sets
 
 
@@ -79,7 +95,7 @@ def _along_paths(
                 yield chord, weight
 
 
-def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
+def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool) -> Labels:
     height, width = layer.shape
     coc, length = np.zeros((2, height, width), np.float32)
     shown = layer.raster.display.width
@@ -90,6 +106,7 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
     if defocus:
         optics = camera.coc_scale(shown), 1.0 / camera.focus_distance_m
         for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, coc)
+        coc = controls.coc(coc, layer.depth, optics[0]) if controls.change_coc else coc
     if not motion or not layer.has_motion:
         return Labels(coc, np.zeros((height, width, 2), np.float32), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
