@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, TypedDict
 
@@ -29,9 +29,7 @@ RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS,
 SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp", "denoise", "calibrate")
 """Options that mean nothing to methods that do not splat."""
 
-FRAME_OPTIONS = (
-    "near_strength far_strength in_focus max_coc highlights focus_at mask region proxy vignetting".split()
-)
+FRAME_OPTIONS = "near_strength far_strength in_focus max_coc highlights focus_at mask region proxy vignetting".split()
 """Options that mean nothing to samples, which hold their lens already."""
 
 LEAST_PROXY = 1 / 64
@@ -188,3 +186,10 @@ def check_method(method: str, allowed: Sequence[str]) -> None:
     """Raise InvalidParameterError if a method is not one of those that are allowed."""
     if method not in allowed:
         raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")
+
+
+def check_for_samples(options: Mapping[str, Any]) -> None:
+    """Raise InvalidParameterError if an option is given that means nothing to samples."""
+    for name in FRAME_OPTIONS:
+        if options.get(name) not in (None, getattr(Options, name)):
+            raise InvalidParameterError(f"{option(name)} is for frames: samples hold their lens already")

@@ -21,9 +21,8 @@ from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
-    from spreadlets.psf.exact import ExactPsf
     from spreadlets.runtime.clock import Clock
-    from spreadlets.runtime.options import Options, RenderOptions
+    from spreadlets.runtime.options import RenderOptions
     from spreadlets.runtime.report import Report
 
 
@@ -236,10 +235,18 @@ def reconstruct(
     True
     """
     from spreadlets.runtime import render
-    from spreadlets.runtime.options import LAYERED_METHODS, METHODS, RECONSTRUCTION_METHODS, Options, check_method
+    from spreadlets.runtime.options import (
+        LAYERED_METHODS,
+        METHODS,
+        RECONSTRUCTION_METHODS,
+        Options,
+        check_for_samples,
+        check_method,
+    )
 
     method = options.get("method", "spreadlets")
     check_method(method, RECONSTRUCTION_METHODS)
+    check_for_samples(options)
     _warn(sample_doubts(samples, camera))
     camera = camera.fitted(samples.shape)
     if settings and method not in LAYERED_METHODS:

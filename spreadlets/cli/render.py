@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import click
 import cloup
 
+from spreadlets.cli.controls import control_options
 from spreadlets.cli.options import (
     TableChoice,
     camera_of,
@@ -42,6 +43,7 @@ class _Job(NamedTuple):
     rendering: dict[str, Any]
     also: Sequence[str] = ()
     pass_through: bool = False
+    output_coc: str | None = None
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
@@ -51,9 +53,14 @@ class _Job(NamedTuple):
         database = self.rendering["database"]
         passes = [value for name, value in self.reading.items() if name.endswith("_file")]
         others = (self.camera, self.reference, *passes, database if isinstance(database, str) else None)
+        if self.output_coc and image_extension(self.output_coc) != OPENEXR:
+            raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
+        if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
+            raise click.UsageError("--pass-through copies channels of the whole frame: leave --proxy and --region out")
         if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
             raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
-        check_outputs([self.output], [*self.frames, *filter(None, others)])
+        outputs = [self.output, *filter(None, [self.output_coc])]
+        check_outputs(outputs, [*self.frames, *filter(None, (*others, self.rendering.get("mask")))])
 
 
 @cloup.command()
@@ -62,8 +69,10 @@ class _Job(NamedTuple):
     "The image to write: .exr, or for viewing .png, .jpg or .tif.",
     cloup.option("--also", metavar="NAME,...", help="Blur these further colour layers of the file, too."),
     cloup.option("--pass-through", is_flag=True, help="Copy all other channels of the file unchanged."),
+    cloup.option("--output-coc", type=click.Path(dir_okay=False), help="Write the signed CoC radii, px (.exr)."),
 )
 @camera_options
+@control_options
 @cloup.option_group(
     "Method",
     cloup.option(
@@ -96,6 +105,7 @@ def synth(
     overwrite: bool,
     also: str | None,
     pass_through: bool,
+    output_coc: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -116,7 +126,7 @@ def synth(
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through)
+        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc)
         job.check()
         print_figures(_synthesise(job), as_json)
         return
@@ -126,16 +136,21 @@ def synth(
             inputs = [numbered(item, number) for item in frames]
             truth = numbered(reference, number) if reference else None
             name, motion = rendering["database"], rendering["motion"]
-            chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
+            mask = rendering["mask"]
+            chosen = rendering | {
+                "mask": numbered(mask, number) if mask else None,
+                "database": lambda frame: choose(name, frame, motion),
+            }
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
-            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through)
+            radii = numbered(output_coc, number) if output_coc else None
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
         passes = [value for key, value in reading.items() if key.endswith("_file") and value]
-        others = [each for each in (camera, reference, *passes) if each]
+        others = [each for each in (camera, reference, rendering["mask"], *passes) if each]
         reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
@@ -149,13 +164,13 @@ def synth(
 def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
     from spreadlets import metrics
-    from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
+    from spreadlets.files.pictures import read_plane
     from spreadlets.files.recognise import ReadOptions
+    from spreadlets.renderer import Renderer
     from spreadlets.runtime.clock import Clock
-    from spreadlets.scene.raster import placed
 
     clock = Clock()
     with clock.step("read"):
@@ -163,22 +178,39 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         options = ReadOptions(**job.reading, camera=camera)
         frame = exr.read_frame(list(job.frames), options=options)
         truth = exr.read_reference(job.reference, options) if job.reference else None
-    database = job.rendering["database"]
-    rendering = job.rendering | {"database": database(frame) if callable(database) else database}
-    image, report = synthesize(frame, camera, **rendering, report=True, clock=clock)
+    rendering = dict(job.rendering)
+    database = rendering.pop("database")
+    chosen = database(frame) if callable(database) else database
+    if rendering.get("mask"):
+        rendering["mask"] = read_plane(rendering["mask"])
+    with Renderer(frame, chosen) as renderer:
+        image, report = renderer.render(camera, **rendering, report=True, clock=clock)
+        raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
-    shown = placed(image, frame.raster.data, frame.raster.display)
-    figures = metrics.compare(shown, truth) if truth is not None else {}
+    figures = metrics.compare(*_alike(image, truth, raster, rendering)) if truth is not None else {}
     further = {}
     if job.pass_through:
         further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
     for name, element in with_colours(job.frames, frame, job.also, options.view):
-        further |= named_channels(name, synthesize(element, camera, **rendering, clock=clock))
+        with Renderer(element, chosen) as renderer:
+            further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):
-        images.write_image(job.output, image, raster=frame.raster, channels=further)
+        images.write_image(job.output, image, raster=raster, channels=further)
+        if job.output_coc is not None and coc is not None:
+            images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
+
+
+def _alike(image: Any, truth: Any, raster: Any, rendering: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return an image and its reference as the same pixels: those displayed, or of the region, at the proxy's size."""
+    from spreadlets.scene.parts import means
+    from spreadlets.scene.raster import placed
+
+    window = raster.data if rendering.get("region") else raster.display
+    truth = means(truth, raster.display.shape) if rendering.get("proxy") else truth
+    return placed(image, raster.data, window), placed(truth, raster.display, window)
 
 
 def _chosen(
