@@ -1,4 +1,4 @@
-"""What an artist changes in a lens: a range kept in focus, the strength of the blur on either side, brighter highlights.
+"""What an artist changes in a lens: a range kept in focus, the strength of the blur on either side, highlights.
 
 The depths, and with them what hides what, stay as they are; what changes is the circle of confusion of each pixel.
 """
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.errors import InvalidParameterError, option
@@ -107,6 +106,6 @@ def _pair(name: str, value: Any, what: str) -> tuple[float, float]:
     return value
 
 
-def _check(name: str, value: npt.ArrayLike, allowed: str, is_good: bool) -> None:
+def _check(name: str, value: object, allowed: str, is_good: bool) -> None:
     if not is_good:
-        raise InvalidParameterError(f"{option(name)} is {value}: allowed are {allowed}")
+        raise InvalidParameterError(f"{option(name)} is {value!r}: allowed are {allowed}")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -88,18 +87,20 @@ def synthesize(
     options, clock = options or Options(), clock or Clock()
     raster, frame = frame.raster, squared(frame)
     _warn_about_view(database, camera, frame.raster.display.width)
-    effects = {"defocus": options.defocus, "motion": options.motion, "controls": options, "split": split}
+    label = partial(
+        frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options, split=split
+    )
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
     if options.method == "gather":
-        image = _filtered(shown, camera, database, options, clock, tally, dense_psf, effects)
+        image = _filtered(shown, camera, database, options, clock, tally, dense_psf, label)
         return _finished(image, frame.raster, raster, camera, database, options), Report.of(
             clock, plan_figures(tally, database)
         )
     image = np.zeros((*frame.shape, 4), np.float32)
     with clock.step("plan"):
-        given = [frame_pixels(layer, camera, **effects, curved=database.grid.model.has_motion) for layer in shown]
+        given = [label(layer, curved=database.grid.model.has_motion) for layer in shown]
     is_whole = len(given) > 1
     if is_whole and options.layers is not None:
         given = [[pixels for group in given for pixels in group]]
@@ -277,14 +278,14 @@ def _filtered(
     clock: Clock,
     tally: Tally,
     dense_psf: DensePsf | None,
-    effects: Mapping[str, Any],
+    label: Callable[[Layer], list[Pixels]],
 ) -> Image:
     """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
         with clock.step("plan"):
             straight = replace(layer, motion_prev=None, motion_next=None)
-            moved = frame_pixels(straight, camera, **effects)
+            moved = label(straight)
             # A filter has no place to move light to.
             pixel_sets = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
             plan = plan_pixels(pixel_sets, database, options, 1, border=False, dense_psf=dense_psf)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = ...,
+    database: Database | Model | str | None = ...,
     *,
     report: Literal[False] = ...,
     clock: Clock | None = ...,
@@ -42,7 +42,7 @@ def synthesize(
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = ...,
+    database: Database | Model | str | None = ...,
     *,
     report: Literal[True],
     clock: Clock | None = ...,
@@ -53,7 +53,7 @@ def synthesize(
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = None,
+    database: Database | Model | str | None = None,
     *,
     report: bool = False,
     clock: Clock | None = None,
@@ -67,9 +67,10 @@ def synthesize(
         A pinhole frame, or depth layers, nearest first.
     camera : ThinLens
         Lens and shutter.
-    database : Database or str, optional
+    database : Database, Model or str, optional
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
-        ``"simplelens"``.
+        ``"simplelens"``. For a model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built,
+        and kept in this user's cache.
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
@@ -96,6 +97,22 @@ def synthesize(
         infinity for any.
     defocus, motion : bool
         Whether to apply each effect.
+    focus_at : tuple of float, optional
+        Focus on what lies at this pixel (x, y).
+    in_focus : tuple of float, optional
+        ``(near, far)``: keep these depths sharp, metres.
+    near_strength, far_strength : float
+        Factors of the blur in front of and behind what is in focus.
+    max_coc : float, optional
+        Largest radius of the circle of confusion, px.
+    highlights : tuple of float, optional
+        ``(gain, threshold)``: multiply the light of blurred pixels above the threshold.
+    mask : array_like of shape (H, W), optional
+        Keep sharp, and out of the blur, where it is 1; of a frame of one layer.
+    region : tuple of int, optional
+        ``(x, y, width, height)`` of the part of the picture to return, px.
+    proxy : float
+        Return a smaller picture of this share of the size.
     clock : Clock, optional
         Adds the times of the steps to those that the caller has already taken.
 

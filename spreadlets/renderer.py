@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Literal, Self, Unpack, overload
 import numpy as np
 
 from spreadlets.arrays import FloatArray, Image
-from spreadlets.errors import AmbiguousInputWarning
+from spreadlets.bokeh import BokehCache, Progress
+from spreadlets.errors import AmbiguousInputWarning, LeftOutError
 from spreadlets.full_psfs import full_psfs
+from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.display import display_encode
@@ -50,9 +52,13 @@ class Renderer:
     ----------
     frame : Frame or sequence of Frame
         A pinhole frame, or depth layers, nearest first.
-    database : Database or str, optional
+    database : Database, Model or str, optional
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
-        ``"simplelens"``. What is not open is opened when it is first needed, and closed with the renderer.
+        ``"simplelens"``. What is not open is opened when it is first needed, and closed with the renderer. For a
+        model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built, and kept in this user's
+        cache.
+    progress : callable, optional
+        Told the numbers of spreadlets that are built and of all, and of the seconds left, while a model is built.
 
     Notes
     -----
@@ -71,12 +77,21 @@ class Renderer:
     (32, 48, 4)
     """
 
-    def __init__(self, frame: Frame | Sequence[Frame], database: Database | str | None = None) -> None:
+    def __init__(
+        self,
+        frame: Frame | Sequence[Frame],
+        database: Database | Model | str | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> None:
         from spreadlets.runtime.label.surfaces import KeptSurfaces
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
         self._database = database
-        self._opened: dict[str, Database] = {}
+        self._bokeh = BokehCache(database, progress) if isinstance(database, Model) else None
+        self._opened: list[Database] = []
+        self._named: dict[str, Database] = {}
+        self._current: Database | None = None
         self._proxies: dict[float, Frame] = {1.0: self.frame}
         self._depth: FloatArray | None = None
         self._split = KeptSurfaces()
@@ -206,9 +221,11 @@ class Renderer:
     def close(self) -> None:
         """Close the databases that this renderer has opened."""
         with self._lock:
-            for database in self._opened.values():
+            for database in self._opened:
                 database.close()
             self._opened.clear()
+            self._named.clear()
+            self._current = None
 
     def __enter__(self) -> Self:
         """Return the renderer."""
@@ -234,7 +251,7 @@ class Renderer:
         """Return the whole image of a proxy, with what is held out put before it."""
         from spreadlets.runtime import render
 
-        frame, mask = self._proxy(options.proxy), None
+        frame, mask, chosen = self._proxy(options.proxy), None, options
         if options.mask is not None:
             whole = frame
             mask = means(checked_mask(options.mask, self.frame), whole.shape)
@@ -243,8 +260,14 @@ class Renderer:
             options = replace(options, max_coc=options.max_coc * options.proxy)
         with self._lock:
             database = self._open(options.motion and any(layer.has_motion for layer in frame.layers))
-        psfs = full_psfs(database, options)
-        image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split)
+        try:
+            psfs = full_psfs(database, options)
+            image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split)
+        except LeftOutError as error:
+            if self._bokeh is None:
+                raise
+            self._build(self._bokeh, database, error.places)
+            return self._synthesized(camera, chosen, clock)
         return (image if mask is None else put_before(image, whole, mask)), figures
 
     def _proxy(self, share: float) -> Frame:
@@ -265,10 +288,25 @@ class Renderer:
         """Return the database, opened if it is not."""
         if isinstance(self._database, Database):
             return self._database
+        if self._bokeh is not None:
+            if self._current is None:
+                self._current = self._bokeh.open()
+                self._opened.append(self._current)
+            return self._current
+        assert not isinstance(self._database, Model)
         name = self._database or default_database(moving)
-        if name not in self._opened:
-            self._opened[name] = open_database(name)
-        return self._opened[name]
+        if name not in self._named:
+            self._named[name] = open_database(name)
+            self._opened.append(self._named[name])
+        return self._named[name]
+
+    def _build(self, bokeh: BokehCache, database: Database, places: Sequence[tuple[int, int]]) -> None:
+        """Add spreadlets to those of the cache, unless another thread has added some; that is then looked at anew."""
+        with self._lock:
+            if self._current is database:
+                bokeh.add(places)
+                # Other threads may still read the one before.
+                self._current = None
 
 
 def default_database(moving: bool) -> str:

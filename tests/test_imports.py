@@ -23,7 +23,7 @@ ORDER = (
     {"precompute.build", "runtime.composite", "runtime.report"},
     {"runtime.finish"},
     {"runtime.render", "runtime.sheared"},
-    {"full_psfs"},
+    {"full_psfs", "bokeh"},
     {"renderer"},
     {"api"},
     {"reports", "warmup"},

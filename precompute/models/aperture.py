@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -204,7 +205,7 @@ def shutter_times(u: DoubleArray, curve: Sequence[float] | None) -> DoubleArray:
 
 def tracer(model: PsfModel, side: int) -> Tracer:
     """Return what traces a model with an aperture of its own behind (1) or in front (-1) of the focus."""
-    aperture = Aperture(**model.settings["aperture"])
+    aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
     curve = model.settings["shutter_curve"]
     moves = model.has_direction
 
@@ -232,10 +233,17 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     )
 
 
+@lru_cache(maxsize=16)
+def _stored_aperture(shape: tuple[tuple[str, Any], ...]) -> Aperture:
+    """Return the aperture of a model's settings; a build asks for the same one for each PSF."""
+    return Aperture(**dict(shape))
+
+
 def _symmetriser(model: PsfModel) -> Any:
     """Return the average over the symmetries that aperture and shutter leave."""
     symmetry = model.symmetry
     if symmetry.lattice and not model.has_direction:
         return lattice_symmetric
-    even = Aperture(**model.settings["aperture"]).is_point_symmetric and not symmetry.arrow
+    shape = tuple(model.settings["aperture"].items())
+    even = _stored_aperture(shape).is_point_symmetric and not symmetry.arrow
     return point_symmetric if even else unchanged

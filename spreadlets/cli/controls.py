@@ -9,7 +9,7 @@ import click
 import cloup
 
 
-class Numbers(click.ParamType):
+class Numbers(click.ParamType[Any]):
     """Numbers with commas between them, as a tuple.
 
     Parameters

@@ -262,8 +262,8 @@ def _outcome(entry: Mapping[str, Any]) -> str:
 @contextmanager
 def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     """Give a function that returns an open database for a frame; each is opened once."""
-    from spreadlets.api import default_database
     from spreadlets.psf.database import Database, open_database
+    from spreadlets.renderer import default_database
 
     opened: dict[str, Database] = {}
 

@@ -68,7 +68,8 @@ def read_picture(path: PathLike) -> Picture:
         return Picture(np.ascontiguousarray(read_image(path)[..., :3]))
     if extension == ".npy":
         return Picture(_colours(path, _read_numpy(path)))
-    return _opened(path, _photograph)
+    found: Picture = _opened(path, _photograph)
+    return found
 
 
 def read_plane(path: PathLike) -> FloatArray:
@@ -177,7 +178,7 @@ def _grey(path: PathLike, image: Any) -> FloatArray:
     if values.ndim == 3:
         # Alpha alone tells nothing of the depth.
         n_colours = values.shape[2] - (1 if image.mode in ("LA", "RGBA", "PA") else 0)
-        return _unit(values)[..., :n_colours].mean(axis=2, dtype=np.float32)
+        return np.asarray(_unit(values)[..., :n_colours].mean(axis=2), np.float32)
     return _unit(values)
 
 

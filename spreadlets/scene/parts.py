@@ -62,15 +62,20 @@ def smaller_raster(raster: Raster, share: float) -> Raster:
 def _smaller_layer(layer: Layer, raster: Raster) -> Layer:
     rows, cols = (_middles(*sizes) for sizes in zip(layer.shape, raster.data.shape, strict=True))
     place = np.ix_(rows, cols)
-    stretch = np.array(raster.data.shape[::-1], np.float32) / np.array(layer.shape[::-1], np.float32)
+    ratios = [after / before for after, before in zip(raster.data.shape, layer.shape, strict=True)]
+    stretch = np.array(ratios[::-1], np.float32)
     before, after = layer.motion_prev, layer.motion_next
+
+    def stretched(motion: FloatArray) -> FloatArray:
+        return np.asarray(motion[place] * stretch, np.float32)
+
     return replace(
         layer,
         radiance=means(layer.radiance, raster.data.shape),
         depth=layer.depth[place],
-        motion=layer.motion[place] * stretch,
-        motion_prev=None if before is None else before[place] * stretch,
-        motion_next=None if after is None else after[place] * stretch,
+        motion=stretched(layer.motion),
+        motion_prev=None if before is None else stretched(before),
+        motion_next=None if after is None else stretched(after),
         raster=raster,
     )
 
@@ -138,7 +143,7 @@ def put_before(image: FloatArray, frame: Frame, mask: FloatArray) -> FloatArray:
     """
     behind = image
     if frame.radiance[..., 3].min() == 1.0:
-        behind = image / np.maximum(image[..., 3:], np.float32(1e-6))
+        behind = np.asarray(image / np.maximum(image[..., 3:], np.float32(1e-6)), np.float32)
     share = mask[..., None]
     return np.asarray(share * frame.radiance + (np.float32(1.0) - share) * behind, np.float32)
 
