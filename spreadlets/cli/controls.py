@@ -60,3 +60,35 @@ control_options = cloup.option_group(
     cloup.option("--proxy", type=float, metavar="SHARE", help="Make a smaller picture, such as 0.5."),
 )
 """What an artist changes."""
+
+BOKEH_NAMES = (
+    "kernel blades blade_curvature rotation cats_eye cats_eye_angle squeeze spherical_aberration obstruction".split()
+)
+
+bokeh_options = cloup.option_group(
+    "Bokeh (in place of a database; what the frame needs is built once, and kept)",
+    cloup.option("--blades", type=click.IntRange(min=0), help="Edges of the aperture (0: round)."),
+    cloup.option("--blade-curvature", type=float, help="... from 0 (straight edges) to 1 (round)."),
+    cloup.option("--rotation", type=float, help="... of the blades, degrees."),
+    cloup.option("--cats-eye", type=float, help="Distance of a second, clipping circle, radii."),
+    cloup.option("--cats-eye-angle", type=float, help="... its direction, degrees."),
+    cloup.option("--squeeze", type=float, help="Width over height of an anamorphic PSF."),
+    cloup.option("--spherical-aberration", type=float, help="Above 0: dark rim behind focus, bright in front."),
+    cloup.option("--obstruction", type=float, help="Radius of a central obstruction, radii."),
+    cloup.option("--kernel", type=click.Path(dir_okay=False), metavar="PNG", help="An image as the PSF; no motion."),
+)
+"""The shape of the aperture."""
+
+
+def take_bokeh(options: dict[str, Any], database: str | None) -> dict[str, Any]:
+    """Take the shape of the aperture out of a command's options; what is not given is not."""
+    taken = {name: options.pop(name) for name in BOKEH_NAMES if name in options}
+    taken = {name: value for name, value in taken.items() if value is not None}
+    if not taken:
+        return {}
+    first = "--" + next(iter(taken)).replace("_", "-")
+    if database:
+        raise click.UsageError(f"{first} and --db exclude each other: a database has its own aperture")
+    if "kernel" in taken and len(taken) > 1:
+        raise click.UsageError("--kernel is the whole PSF: leave the other options of the aperture out")
+    return taken

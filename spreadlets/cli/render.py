@@ -8,12 +8,13 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import click
 import cloup
 
-from spreadlets.cli.controls import control_options
+from spreadlets.cli.controls import bokeh_options, control_options, take_bokeh
 from spreadlets.cli.options import (
     TableChoice,
     camera_of,
@@ -73,6 +74,7 @@ class _Job(NamedTuple):
 )
 @camera_options
 @control_options
+@bokeh_options
 @cloup.option_group(
     "Method",
     cloup.option(
@@ -122,6 +124,10 @@ def synth(
 
     reading, lens = take_reading(options), take_camera(options)
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
+    shape, motion = take_bokeh(options, rendering["database"]), rendering["motion"]
+    database = rendering["database"]
+    if shape:
+        rendering["database"] = partial(_bokeh, shape, motion)
     layers = tuple(name.strip() for name in also.split(",")) if also else ()
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
@@ -135,12 +141,9 @@ def synth(
         def make(number: int, path: str) -> dict[str, Any]:
             inputs = [numbered(item, number) for item in frames]
             truth = numbered(reference, number) if reference else None
-            name, motion = rendering["database"], rendering["motion"]
-            mask = rendering["mask"]
-            chosen = rendering | {
-                "mask": numbered(mask, number) if mask else None,
-                "database": lambda frame: choose(name, frame, motion),
-            }
+            name, mask = rendering["database"], rendering["mask"]
+            chosen = rendering | {"mask": numbered(mask, number) if mask else None}
+            chosen["database"] = name if shape else lambda frame: choose(name, frame, motion)
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
             radii = numbered(output_coc, number) if output_coc else None
@@ -151,7 +154,7 @@ def synth(
 
         passes = [value for key, value in reading.items() if key.endswith("_file") and value]
         others = [each for each in (camera, reference, rendering["mask"], *passes) if each]
-        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
+        reads = [*frames, *others, *(each for each in (database, shape.get("kernel")) if each)]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
@@ -183,7 +186,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     chosen = database(frame) if callable(database) else database
     if rendering.get("mask"):
         rendering["mask"] = read_plane(rendering["mask"])
-    with Renderer(frame, chosen) as renderer:
+    with progress_bar("building", quiet=False) as progress, Renderer(frame, chosen, progress=progress) as renderer:
         image, report = renderer.render(camera, **rendering, report=True, clock=clock)
         raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
     if frame.repaired_pixels or frame.dropped_pixels:
@@ -201,6 +204,13 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         if job.output_coc is not None and coc is not None:
             images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
+
+
+def _bokeh(shape: Mapping[str, Any], motion: bool, frame: Any) -> Any:
+    """Return the model of an aperture for a frame."""
+    from spreadlets.bokeh import bokeh_model
+
+    return bokeh_model(moving=motion and any(layer.has_motion for layer in frame.layers), **shape)
 
 
 def _alike(image: Any, truth: Any, raster: Any, rendering: Mapping[str, Any]) -> tuple[Any, Any]:
