@@ -9,21 +9,32 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import platformdirs
 from filelock import FileLock
 
+from spreadlets.files.atomic import atomic_path
 from spreadlets.models import Combined, Model, SimpleLens, Stylized
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.model import PsfGrid
+from spreadlets.psf.spreadlet import Spreadlet
+
+if TYPE_CHECKING:
+    from spreadlets.precompute.models.exact_cache import CachedPsfs, Key
 
 FOLDER = "SPREADLETS_BOKEH_CACHE"
 """Environment variable that names another folder for the cache."""
 MOST_BYTES = 1 << 28
 """Room for the cache, 256 MB, several hundred apertures; those not used for the longest go first."""
+
+PSF_STEPS = 65535
+"""Steps of the light of a stored PSF."""
 
 Progress = Callable[..., None]
 
@@ -65,7 +76,9 @@ class BokehCache:
         from spreadlets.precompute.build.build import model_grid
 
         self.model, self.progress = model, progress
-        self.path = cache_folder() / f"{model.name}-{_fingerprint(model_grid(model.name, **model.options()))}.h5"
+        self._grid = model_grid(model.name, **model.options())
+        self.path = cache_folder() / f"{model.name}-{_fingerprint(self._grid)}.h5"
+        self._n_stored = 0
 
     def open(self) -> Database:
         """Return the database as it is; without any spreadlet, if it is new."""
@@ -80,6 +93,33 @@ class BokehCache:
         with self._locked():
             self._build(places, extend=self.path.is_file())
             _make_room(self.path)
+
+    def recall(self) -> None:
+        """Take the PSFs of highlights that were made before for this model."""
+        exact = self._exact()
+        if exact is not None:
+            exact.keep(_read_psfs(self._psf_file))
+            self._n_stored = len(exact.known())
+
+    def store(self) -> None:
+        """Store the PSFs of highlights for the next run, if there are new ones."""
+        exact = self._exact()
+        psfs = exact.known() if exact is not None else {}
+        if len(psfs) > self._n_stored:
+            self._n_stored = len(psfs)
+            with self._locked():
+                _write_psfs(self._psf_file, psfs)
+
+    def _exact(self) -> CachedPsfs | None:
+        from spreadlets.precompute.models.exact_cache import CachedPsfs
+        from spreadlets.precompute.models.registry import exact_psf
+
+        exact = exact_psf(self._grid.model)
+        return exact if isinstance(exact, CachedPsfs) else None
+
+    @property
+    def _psf_file(self) -> Path:
+        return self.path.with_suffix(".npz")
 
     def _locked(self) -> FileLock:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,13 +149,50 @@ def _fingerprint(grid: PsfGrid) -> str:
 
 
 def _make_room(kept: Path) -> None:
-    """Delete the databases that have not been used for the longest, while they take more than `MOST_BYTES`."""
+    """Delete what has not been used for the longest, while all of it takes more than `MOST_BYTES`."""
     files = sorted(kept.parent.glob("*.h5"), key=lambda file: file.stat().st_mtime)
-    total = sum(file.stat().st_size for file in files)
+    sizes = {file: sum(each.stat().st_size for each in file.parent.glob(f"{file.stem}.*")) for file in files}
     for file in files:
-        if total <= MOST_BYTES:
+        if sum(sizes.values()) <= MOST_BYTES:
             return
         if file != kept:
-            total -= file.stat().st_size
-            file.unlink(missing_ok=True)
-            file.with_suffix(".lock").unlink(missing_ok=True)
+            del sizes[file]
+            for each in file.parent.glob(f"{file.stem}.*"):
+                each.unlink(missing_ok=True)
+
+
+def _write_psfs(path: Path, psfs: Mapping[Key, Spreadlet]) -> None:
+    """Store PSFs: keys, the points of each, and values as shares of its largest in 16 bits."""
+    points = list(psfs.values())
+    peaks = np.array([np.abs(each.value).max() for each in points], np.float32)
+    with atomic_path(path, ".npz") as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file,
+            coordinate=np.array([key[0] for key in psfs]),
+            angle=np.array([key[1] for key in psfs]),
+            side=np.array([key[2] for key in psfs]),
+            count=np.array([each.n_points for each in points]),
+            peak=peaks,
+            offset=np.concatenate([each.offset_rc for each in points]),
+            value=np.concatenate(
+                [np.rint(PSF_STEPS * each.value / peak) for each, peak in zip(points, peaks, strict=True)]
+            ).astype(np.uint16),
+        )
+
+
+def _read_psfs(path: Path) -> dict[Key, Spreadlet]:
+    """Return the PSFs of a file; none if there is no such file, or not a whole one."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            keys = [
+                (tuple(map(float, place)), float(angle), int(side))
+                for place, angle, side in zip(stored["coordinate"], stored["angle"], stored["side"], strict=True)
+            ]
+            ends = np.cumsum(stored["count"])[:-1]
+            offsets, values = np.split(stored["offset"], ends), np.split(stored["value"], ends)
+            return {
+                key: Spreadlet(offset, value.astype(np.float32) * (peak / np.float32(PSF_STEPS)), True)
+                for key, offset, value, peak in zip(keys, offsets, values, stored["peak"], strict=True)
+            }
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return {}

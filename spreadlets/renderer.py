@@ -221,6 +221,8 @@ class Renderer:
     def close(self) -> None:
         """Close the databases that this renderer has opened."""
         with self._lock:
+            if self._bokeh is not None:
+                self._bokeh.store()
             for database in self._opened:
                 database.close()
             self._opened.clear()
@@ -291,6 +293,7 @@ class Renderer:
         if self._bokeh is not None:
             if self._current is None:
                 self._current = self._bokeh.open()
+                self._bokeh.recall()
                 self._opened.append(self._current)
             return self._current
         assert not isinstance(self._database, Model)
