@@ -98,8 +98,9 @@ class BokehCache:
         """Take the PSFs of highlights that were made before for this model."""
         exact = self._exact()
         if exact is not None:
-            exact.keep(_read_psfs(self._psf_file))
-            self._n_stored = len(exact.known())
+            stored = _read_psfs(self._psf_file)
+            exact.keep(stored)
+            self._n_stored = len(stored)
 
     def store(self) -> None:
         """Store the PSFs of highlights for the next run, if there are new ones."""
