@@ -184,7 +184,7 @@ def _write_psfs(path: Path, psfs: Mapping[Key, Spreadlet]) -> None:
 def _read_psfs(path: Path) -> dict[Key, Spreadlet]:
     """Return the PSFs of a file; none if there is no such file, or not a whole one."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             keys = [
                 (tuple(map(float, place)), float(angle), int(side))
                 for place, angle, side in zip(stored["coordinate"], stored["angle"], stored["side"], strict=True)

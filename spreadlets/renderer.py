@@ -93,7 +93,7 @@ class Renderer:
         self._named: dict[str, Database] = {}
         self._current: Database | None = None
         self._proxies: dict[float, Frame] = {1.0: self.frame}
-        self._depth: FloatArray | None = None
+        self._depths: dict[float, FloatArray] = {}
         self._split = KeptSurfaces()
         self._lock = Lock()
         self._shown: Image | None = None
@@ -141,10 +141,7 @@ class Renderer:
         camera = self._focused(camera, chosen)
         _warn(frame_doubts(self.frame, camera))
         image, figures = self._synthesized(camera, chosen, clock)
-        if chosen.region is not None:
-            wanted = region_window(chosen.region, self.frame.raster, chosen.proxy)
-            image = cut(image, smaller_raster(self.frame.raster, chosen.proxy).data, wanted)
-        self._shown = image
+        image = self._shown = self._cut(image, chosen)
         return (image, figures) if report else image
 
     def raster(self, **options: Unpack[RenderOptions]) -> Raster:
@@ -171,7 +168,7 @@ class Renderer:
         camera : ThinLens
         options
             Those that change it, see `synthesize`: ``near_strength``, ``far_strength``, ``in_focus``, ``max_coc``,
-            ``focus_at``, and ``region``.
+            ``focus_at``; and ``region`` and ``proxy``.
 
         Returns
         -------
@@ -182,21 +179,21 @@ class Renderer:
 
         chosen = Options.of(**options)
         camera = self._focused(camera, chosen)
-        depth, width = self.depth, self.frame.raster.display.width
+        depth = self._cut(self._seen_depth(chosen.proxy), chosen)
+        width = self.frame.raster.display.width
         radius = np.asarray(camera.coc_radius(depth, width), np.float32)
         if chosen.change_coc:
             radius = chosen.coc(radius, depth, camera.coc_scale(width))
-        if chosen.region is not None:
-            wanted = region_window(chosen.region, self.frame.raster)
-            radius = cut(radius, self.frame.raster.data, wanted)
         return radius
 
     @property
     def depth(self) -> FloatArray:
         """Depth of what is seen in each pixel, (H, W) float32, metres; ``inf`` where there is nothing."""
-        if self._depth is None:
-            self._depth = seen_depth(self.frame)
-        return self._depth
+        return self._seen_depth(1.0)
+
+    def proxy_depth(self, share: float) -> FloatArray:
+        """Return the depth of what is seen in each pixel of a proxy of this share of the size, (h, w) float32."""
+        return self._seen_depth(share)
 
     def depth_at(self, x: float, y: float) -> float:
         """Return the depth of the surface under a point, metres.
@@ -276,9 +273,26 @@ class Renderer:
         with self._lock:
             if share not in self._proxies:
                 while len(self._proxies) > MOST_PROXIES:
-                    self._proxies.pop([each for each in self._proxies if each != 1.0][0])
+                    oldest = [each for each in self._proxies if each != 1.0][0]
+                    self._depths.pop(oldest, None)
+                    del self._proxies[oldest]
                 self._proxies[share] = smaller(self.frame, share)
             return self._proxies[share]
+
+    def _seen_depth(self, share: float) -> FloatArray:
+        frame = self._proxy(share)
+        with self._lock:
+            if share not in self._depths:
+                self._depths[share] = seen_depth(frame)
+            return self._depths[share]
+
+    def _cut(self, values: FloatArray, options: Options) -> FloatArray:
+        """Return the region of an array (H, W, ...) of a proxy's pixels."""
+        if options.region is None:
+            return values
+        raster = self.frame.raster
+        wanted = region_window(options.region, raster, options.proxy)
+        return cut(values, smaller_raster(raster, options.proxy).data, wanted)
 
     def _focused(self, camera: ThinLens, options: Options) -> ThinLens:
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
