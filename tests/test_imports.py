@@ -14,7 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays", "version"},
-    {"compiled", "parallel", "packages", "runtime.controls"},
+    {"compiled", "parallel", "packages", "remembered", "runtime.controls"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},

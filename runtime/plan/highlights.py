@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading_steps, longest_step
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import HEADINGS
 from spreadlets.runtime.label.pixels import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
@@ -212,9 +214,8 @@ class _Light(NamedTuple):
 
 def _lights(pixel_sets: Sequence[Pixels], stochastic: bool) -> list[_Light]:
     """Return what the colours of each set say; sets often share them."""
-    colours = {id(pixels.radiance): pixels.radiance for pixels in pixel_sets}
-    found = {key: _light(radiance, stochastic) for key, radiance in colours.items()}
-    return [found[id(pixels.radiance)] for pixels in pixel_sets]
+    look = _light_of_samples if stochastic else _light_of_pixels
+    return [look(pixels.radiance) for pixels in pixel_sets]
 
 
 def _light(radiance: Image, stochastic: bool) -> _Light:
@@ -231,6 +232,10 @@ def _light(radiance: Image, stochastic: bool) -> _Light:
     ratio = np.inf if stochastic else MUCH_BRIGHTER
     for_bands(_highlight_kernels.sources_of_light, shape[0], light, excess, ratio, source)
     return _Light(excess, source)
+
+
+_light_of_pixels = Remembered(partial(_light, stochastic=False))
+_light_of_samples = Remembered(partial(_light, stochastic=True))
 
 
 def _from_sources(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from threading import Lock
 from types import TracebackType
 from typing import Any, Self
 
@@ -45,9 +45,6 @@ __all__ = ["STATISTICS", "CellRecord", "Database", "absent_record", "open_databa
 
 MAX_GAP_POINTS = 4096
 """Spreadlets with at most so many points between them are read together: less than a chunk's worth of decompression."""
-
-MOST_KEPT_POINTS = 1 << 22
-"""Points of spreadlets that are kept for the next frame: 30 to 60 MB."""
 
 MAX_POSES = 1 << 20
 """Most poses that a cell may have, far more than the sharpest line needs: a file says it by its ranges."""
@@ -89,9 +86,6 @@ class Database:
 
     def __init__(self, file: h5py.File, path: Path) -> None:
         self._file = file
-        self._kept: dict[int, Spreadlet] = {}
-        self._kept_points = 0
-        self._lock = Lock()
         self.path = path
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = read_text(file, "provenance")
@@ -172,27 +166,13 @@ class Database:
                 "left out of this database, which was built for certain frames only",
                 [cells[int(each)] for each in absent],
             )
-        with self._lock:
-            found = {number: self._kept[number] for number in index.tolist() if number in self._kept}
-        missing = np.array(sorted(set(index.tolist()) - found.keys()), np.int64)
-        for first, last in self._stretches(missing):
+        found: dict[int, Spreadlet] = {}
+        for first, last in self._stretches(np.unique(index)):
             points = self._read_points(int(self.point_start[first]), int(self.point_start[last + 1]))
-            for each in missing[(missing >= first) & (missing <= last)]:
+            for each in index[(index >= first) & (index <= last)]:
                 begin, end = self.point_start[each : each + 2] - self.point_start[first]
                 found[int(each)] = Spreadlet(points[0][begin:end], points[1][begin:end], bool(self.direct[each]))
-        self._keep(found)
         return [found[int(each)] for each in index]
-
-    def _keep(self, found: Mapping[int, Spreadlet]) -> None:
-        """Keep spreadlets for the next frame; those that have not been asked for the longest go first."""
-        with self._lock:
-            for number, spreadlet in found.items():
-                self._kept_points += spreadlet.n_points - (
-                    self._kept.pop(number).n_points if number in self._kept else 0
-                )
-                self._kept[number] = spreadlet
-            while self._kept_points > MOST_KEPT_POINTS:
-                self._kept_points -= self._kept.pop(next(iter(self._kept))).n_points
 
     def _stretches(self, index: npt.NDArray[np.int64]) -> Iterator[tuple[int, int]]:
         """Yield (first, last) spreadlets of stretches of the file to be read in one go."""
@@ -225,9 +205,12 @@ class Database:
         InvalidDatabaseError
             If they cannot be read, or are not finite.
         """
+        return {name: self._statistics[:, column] for column, name in enumerate(STATISTICS)}
+
+    @cached_property
+    def _statistics(self) -> FloatArray:
         with refusing(self.path):
-            table = read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
-        return {name: table[:, column] for column, name in enumerate(STATISTICS)}
+            return read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
 
     def summary(self) -> dict[str, Any]:
         """Return what ``spreadlets info`` prints: model, counts, size, quality figures and provenance.

@@ -137,8 +137,8 @@ const short = (value) => String(Number(Number(value).toPrecision(5)));
 function setRanges() {
   const range = (name, low, high) => { inputOf[name].min = low; inputOf[name].max = high; };
   const { f_number, focal_length, focus } = initial;
-  range("f_number", Math.min(0.5, f_number / 4), Math.max(22, f_number * 4));
-  range("focal_length", Math.min(12, focal_length / 2), Math.max(200, focal_length * 2));
+  range("f_number", f_number / 8, f_number * 8);
+  range("focal_length", focal_length / 3, focal_length * 3);
   range("focus", Math.min(hello.nearest * 0.8, focus), Math.max(hello.farthest * 1.2, focus));
 }
 
