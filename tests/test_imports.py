@@ -26,7 +26,7 @@ ORDER = (
     {"full_psfs", "bokeh"},
     {"renderer"},
     {"api"},
-    {"reports", "warmup", "view"},
+    {"reports", "warmup", "view", "photograph"},
     {"cli"},
 )
 """The order of the tree, stated once: what stands in a row may import only from rows above it."""

@@ -36,8 +36,9 @@ SHARES = (1.0, 0.75, 0.625, 0.5, 0.375, 0.25, 0.1875, 0.125)
 TOO_SLOW_S, FAST_S = 0.075, 0.03
 """Times of a proxy, s, from which a smaller one is taken next, and below which a larger one."""
 DRAFT_LAYERS = 2
-DRAFT_TOLERANCE = 0.02
-"""Depth layers of a proxy, and the error of its display that is traded for speed: a few steps of 8 bits."""
+"""Depth layers of a proxy, while that is fast enough."""
+DRAFT = {"tolerance": 0.02, "cycles": 0}
+"""Options of a proxy: a few steps of 8 bits are traded for speed, and the solver's last step is left out."""
 RESTING_S = 0.05
 """How long a drag must rest before the whole picture is begun: if it goes on, that is dropped."""
 MOST_APERTURES = 4
@@ -258,7 +259,7 @@ class Worker(threading.Thread):
         share, n_layers = self._ladder[self._rung]
         begin = time.perf_counter()
         renderer = self._studio.renderer(request.settings, draft=True, progress=self._progress)
-        options = {"layers": n_layers, "tolerance": DRAFT_TOLERANCE, **request.settings.options(), "proxy": share}
+        options = {"layers": n_layers, **DRAFT, **request.settings.options(), "proxy": share}
         camera = request.settings.camera(self._studio.scene.camera)
         image, report = renderer.render(camera, **options, report=True)
         took = time.perf_counter() - begin
