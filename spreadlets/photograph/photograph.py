@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray
+from spreadlets.bokeh import Progress
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.photograph.depth_map import DepthKind, inverse_depth, refined
 from spreadlets.photograph.grain import grained
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer
+from spreadlets.runtime.clock import Clock
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.display import display_decode, display_encode
 from spreadlets.scene.frame import Frame, image_array, real_array
@@ -44,6 +46,8 @@ def photo(
     refine: bool = True,
     grain: bool = False,
     database: Database | Model | str | None = None,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
     **options: Unpack[RenderOptions],
 ) -> npt.NDArray[Any]:
     """Give a photograph the depth of field of another lens.
@@ -71,6 +75,10 @@ def photo(
         Whether to give what is blurred the grain of the photograph.
     database : Database, Model or str, optional
         The lens, see `synthesize`; by default a round aperture.
+    progress : callable, optional
+        Told how far the lens is built, if it is; see `Renderer`.
+    clock : Clock, optional
+        Adds the times of the steps to those that the caller has already taken.
     options
         Of `synthesize`; ``highlights=(gain, threshold)`` gives clipped light back, a ``mask`` keeps a subject sharp.
 
@@ -98,12 +106,12 @@ def photo(
     >>> bool(image[:10].std() < 0.5 * rgb[:10].std())  # what lies behind is blurred
     True
     """
-    codes = np.asarray(rgb)
-    linear = _linear(codes)
-    shape = linear.shape[0], linear.shape[1]
-    inverse, least, most = inverse_depth(real_array("depth", depth), depth_kind, shape)
-    if refine:
-        inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
+    codes, clock = np.asarray(rgb), clock or Clock()
+    with clock.step("plan"):
+        linear = _linear(codes)
+        inverse, least, most = inverse_depth(real_array("depth", depth), depth_kind, linear.shape[:2])
+        if refine:
+            inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
     if depth_kind == "metric" and f_number is not None:
         depths = least + (most - least) * inverse
         camera = ThinLens(
@@ -119,8 +127,8 @@ def photo(
         camera = blurring_camera(depths, _focus(depths, focus), DEFAULT_BLUR if blur is None else blur)
     with np.errstate(divide="ignore"):
         frame = Frame(linear, np.float32(1.0) / np.maximum(depths, np.float32(0.0)))
-    with Renderer(frame, database or "simplelens") as renderer:
-        image = renderer.render(camera, **options)[..., :3]
+    with Renderer(frame, database or "simplelens", progress=progress) as renderer:
+        image = renderer.render(camera, clock=clock, **options)[..., :3]
         coc = renderer.coc(camera, **options) if grain else None
     return _coded(image if coc is None else grained(image, linear, coc), codes.dtype)
 
