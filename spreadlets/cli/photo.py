@@ -66,8 +66,8 @@ def photo(
     """Give a photograph with a depth map the depth of field of another lens.
 
     IMAGE is a picture (PNG, JPEG, TIFF, WebP, HEIC with the extra "photo", NPY or OpenEXR), taken as its colour profile
-    says; DEPTH is one value for each pixel (PNG of 8 or 16 bits, TIFF, NPY, PFM or OpenEXR). Pictures are turned upright
-    as EXIF says.
+    says; DEPTH is one value for each pixel (PNG of 8 or 16 bits, TIFF, NPY, PFM or OpenEXR). Pictures are turned
+    upright as EXIF says.
 
     Example: spreadlets photo dog.jpg dog_depth.png -o out.jpg --focus 820,640 --blur 30
     """
