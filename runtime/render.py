@@ -225,8 +225,10 @@ def _add_plan(
     image: Image, plan: Plan, visibility: Visibility | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
 ) -> None:
     """Put the layers of a plan behind an image, in place."""
+    # List the runs of each layer.
     with clock.step("splat"):
         sources = [[find_runs(each, plan.table, plan.n_layers) for each in levels] for levels in plan.sources]
+    # Go through the layers that draw anything, nearest first.
     used = [
         k
         for k in range(plan.n_layers)
@@ -235,6 +237,7 @@ def _add_plan(
     for number in used:
         canvas, padded = _splat_layer(sources, number, plan, solver, clock)
         last = closed and number == used[-1]
+        # Normalise the layer by its visibility, and put it behind the image.
         with clock.step("composite"):
             seen = None if visibility is None or last else visibility.seen(number)
             kind = LAST if last else COVERAGE if visibility is None else visibility.kind
@@ -252,6 +255,7 @@ def _splat_layer(
     """Return the sum of all splats of a layer, and the canvas that it lies on."""
     sparse, direct = 2 * number, 2 * number + 1
     flat = [each for levels in sources for each in levels]
+    # Draw sparse Laplacians.
     with clock.step("splat"):
         canvas = canvas_of(flat, (sparse, direct), plan.table, SOLVER_MARGIN)
         assert canvas is not None, "only layers with splats are drawn"
@@ -260,11 +264,13 @@ def _splat_layer(
         if drawn:
             splat_laplacian(padded, canvas, drawn, sparse, plan.table)
     if drawn:
+        # Integrate them.
         with clock.step("integrate"):
             padded = solver(padded)
     else:
         padded[...] = 0.0
     with clock.step("splat"):
+        # Add small PSFs and exact highlights on top.
         for levels in sources:
             splat_direct(padded, canvas, levels[0], direct, plan.table)
     return canvas, padded

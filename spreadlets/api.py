@@ -288,6 +288,7 @@ def _without_splatting(
     """Reconstruct with a method that needs no database."""
     from spreadlets.runtime.options import DENOISERS, LAYERED_METHODS, SPLATTING_OPTIONS, Options
 
+    # Find the options that were changed, and refuse those of splatting.
     default = Options()
     changed: dict[str, Any] = {
         k: v for k, v in options.items() if v is not None and k != "method" and v != getattr(default, k)
@@ -295,6 +296,7 @@ def _without_splatting(
     for name in SPLATTING_OPTIONS:
         if name in changed:
             raise InvalidParameterError(f"{name} is no option of method {method!r}")
+    # Filter sheared light fields in layers.
     if method in LAYERED_METHODS:
         from spreadlets.runtime.sheared import reconstruct as layered
 
@@ -302,6 +304,7 @@ def _without_splatting(
             settings = {"layers": changed.pop("layers"), **settings}
         made = layered.make_method(method, settings)
         return layered.reconstruct(samples, camera, made, **changed, clock=clock)
+    # Or average the samples of each pixel, and denoise if that was asked for.
     for name in changed:
         raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
     from spreadlets.runtime.clock import Clock
@@ -377,13 +380,16 @@ def build_database(
     from spreadlets.precompute.build.build import build_database as build
     from spreadlets.precompute.build.build import build_grid
 
+    # Take the name and the options apart.
     name = model if isinstance(model, str) else model.name
     if not isinstance(model, str):
         options = model.options() | options
+    # Fit the camera to the frames.
     if frames is not None and camera is None:
         raise InvalidParameterError("a database for certain frames needs the camera, too")
     if frames and camera is not None:
         camera = camera.fitted(frames[0].raster.display.shape, frames[0].raster.pixel_aspect)
+    # Give camera and width to models that depend on them.
     extend = bool(options.get("extend"))
     if camera is not None and "camera" in option_names(name) and not extend:
         options["camera"] = camera
@@ -391,6 +397,7 @@ def build_database(
         raise InvalidParameterError(f"the model {name!r} takes a camera only together with the frames to build for")
     if frames and "width" in option_names(name) and options.get("width") is None and not extend:
         options["width"] = frames[0].shape[1]
+    # Find the spreadlets that the frames need.
     if frames is not None and camera is not None:
         from spreadlets.runtime.plan.plan import needed_spreadlets
 

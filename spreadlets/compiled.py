@@ -91,11 +91,13 @@ def kernel_folder() -> Path:
     Where kernels came with the package and its folder cannot be written to, they are copied to where new ones can be
     kept. Without any such place, a temporary folder is used, with a warning.
     """
+    # The user's choice comes first, then the package's own folder.
     if "NUMBA_CACHE_DIR" in os.environ:
         return Path(os.environ["NUMBA_CACHE_DIR"])
     shipped, own = PACKAGE / "__pycache__" / "kernels", platformdirs.user_cache_path("spreadlets") / "kernels"
     if _can_be_written(shipped):
         return shipped
+    # Else the user's cache, or in the worst case a temporary folder.
     if _can_be_written(own):
         folder = own
     else:
@@ -106,6 +108,7 @@ def kernel_folder() -> Path:
             "set NUMBA_CACHE_DIR to a folder that can",
             stacklevel=2,
         )
+    # Take over the kernels that came with the package.
     if shipped.is_dir() and not any(folder.iterdir()):
         shutil.copytree(shipped, folder, dirs_exist_ok=True)
     return folder

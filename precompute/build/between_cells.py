@@ -125,11 +125,14 @@ def _figures(
         apart = np.hypot(centre[0] - other_centre[0], centre[1] - other_centre[1])
         return psf_similarity(exact, made), abs(other / radius - 1.0), float(apart)
 
+    # Compare the pairs; what has no spreadlet is NaN.
     similarity, radius, centre = np.array(for_each(compared, zip(truth, drawn, strict=True))).T
     known = ~np.isnan(similarity)
     if not known.any():
         return {}
+    # Similarity of all PSFs.
     found = {"mean": float(similarity[known].mean()), "percentile_1": float(np.percentile(similarity[known], 1))}
+    # Radius and centre of the rim, where PSFs are large enough to have one.
     some = known & large
     if some.any() and not spike:
         found |= {

@@ -111,14 +111,17 @@ def build_database(
     if sparsifier is not None:
         check_sparsifier(sparsifier)
     ranges = {"samples": samples, "max_coc": max_coc, "max_motion": max_motion}
+    # Divide the model's parameter space into cells.
     grid = build_grid(model, target, extend, **ranges, **options)
     with ExitStack() as stack:
         parts = stack.enter_context(open_parts(target, grid))
+        # Take over what a database that is extended already holds.
         kept = Kept()
         if extend:
             kept = stack.enter_context(Kept.of(target, grid, density))
             density, sparsifier, rays, seed = check_extension(kept, density, sparsifier, rays, seed)
         density, sparsifier = density or 1.0, sparsifier or DEFAULT_SPARSIFIER
+        # List the cells and poses that are missing.
         wanted = _wanted_poses(grid, None if only is None else {*only, *kept.places()})
         missing = [
             tuple(number for number in numbers if (cell, number) not in kept) for cell, numbers in enumerate(wanted)
@@ -128,11 +131,14 @@ def build_database(
             CellTask(grid, cell, numbers, density, rays, seed, int(seed_cell[cell]), sparsifier)
             for cell, numbers in enumerate(missing)
         ]
+        # Trace and sparsify them; finished cells wait as parts.
         shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
+        # Record the provenance, and what is drawn between the cells.
         provenance = {"seed": seed, "parameters": _parameters(grid, density, sparsifier, rays)} | _versions()
         if judge:
             provenance["between_cells"] = between_cells(grid, _finder(tasks, parts, kept), rays)
         provenance["build_s"] = time.perf_counter() - begin + kept.build_s
+        # Assemble the database from the parts.
         cells = (_cell(task, parts, kept) for task in tasks)
         try:
             write_database(target, grid, cells, provenance, seed_cell if extend else None)

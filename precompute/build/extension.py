@@ -55,10 +55,12 @@ def extended_grid(path: str | os.PathLike[str], model: str, options: Mapping[str
     InvalidDatabaseError
         If the database cannot be read.
     """
+    # Read the old grid.
     if not Path(path).is_file():
         raise InvalidParameterError(f"{str(path)!r} cannot be extended: there is no such file; build it first")
     with open_database(path) as database:
         grid = database.grid
+    # Check that only ranges of its own axes change.
     if grid.model.name != model:
         raise InvalidParameterError(f"{str(path)!r} is a database of {grid.model.name!r}, not of {model!r}")
     known = {RANGES[axis.name] for axis in grid.model.axes if axis.name in RANGES}
@@ -68,6 +70,7 @@ def extended_grid(path: str | os.PathLike[str], model: str, options: Mapping[str
                 f"{name!r} cannot be extended: cells and settings stay what they are; of {model!r} these can be "
                 f"widened: {', '.join(sorted(known))}"
             )
+    # Lengthen the axes by whole units, so that the old cells stay what they are.
     pairs = [
         _extended_axis(axis, side, options.get(RANGES.get(axis.name, "")))
         for axis, side in zip(grid.model.axes, grid.shape, strict=True)
@@ -200,6 +203,7 @@ def check_extension(
             f"{path} was built by version {provenance.get('algorithm_version')} of the algorithm, this is version "
             f"{ALGORITHM_VERSION}: build it anew"
         )
+    # Refuse what would make new cells differ in kind from the old ones; only the density may grow.
     if sparsifier not in (None, stored["sparsifier"]):
         raise InvalidParameterError(
             f"{path} was built with the sparsifier {stored['sparsifier']!r}: an extension keeps it, it cannot be "

@@ -147,8 +147,10 @@ def _locked(folder: Path, target: Path) -> BaseFileLock:
     lock = FileLock(folder / LOCK_NAME)
     for _ in range(LOCK_ATTEMPTS):
         try:
+            # Make the folder and take its lock.
             folder.mkdir(exist_ok=True)
             lock.acquire(timeout=0)
+            # A build that ended meanwhile has removed the file that is locked: then once more.
             if (folder / LOCK_NAME).exists():
                 _sign(folder)
                 return lock

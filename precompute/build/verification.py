@@ -81,6 +81,7 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
     bad: list[str] = []
     n_spreadlets = 0
     checks: list[_Check] = []
+    # Check the points of every spreadlet; choose one pose of each cell to trace again.
     for cell in range(database.n_cells):
         stored = _stored(database, cell)
         n_spreadlets += len(stored)
@@ -90,6 +91,7 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
             bad += [f"cell {cell}, pose {number}: {what}" for what in _point_problems(spreadlet, recorded)]
             if number == stored[cell % len(stored)]:
                 checks.append(_check(database, cell, number, spreadlet, recorded))
+    # Trace them, and compare with the recorded figures.
     differences = dict.fromkeys(TOLERANCES, 0.0)
     done = 0
     for check, measured in _measured(database, checks, jobs or os.cpu_count() or 1):
@@ -99,6 +101,7 @@ def verify_database(database: Database, *, jobs: int | None = None, progress: Pr
             differences[name] = max(largest, abs(measured[name] - check.recorded[name]))
         if progress is not None:
             progress(done, len(checks), None)
+    # Report the first problem, and how many follow.
     if bad:
         more = f"; and {len(bad) - 1} more" * (len(bad) > 1)
         raise InvalidDatabaseError(f"{database.path}: {bad[0]}{more}{_other_version(database)}")

@@ -139,6 +139,7 @@ def _compute_there(units: Sequence[WorkUnit], client: Any) -> Iterator[UnitResul
     """
     results: queue.Queue[UnitResult | Exception | None] = queue.Queue()
 
+    # Producer: let the cluster compute, and put what it returns into a queue.
     def take() -> None:
         try:
             with joblib.parallel_config(backend="dask", client=client, wait_for_workers_timeout=CONNECT_S):
@@ -150,6 +151,7 @@ def _compute_there(units: Sequence[WorkUnit], client: Any) -> Iterator[UnitResul
             results.put(error)
 
     threading.Thread(target=take, name="spreadlets-cluster", daemon=True).start()
+    # Consumer: take from the queue; while nothing comes, look whether the cluster is still there.
     watch = _Watch(client)
     while True:
         try:
@@ -157,6 +159,7 @@ def _compute_there(units: Sequence[WorkUnit], client: Any) -> Iterator[UnitResul
         except queue.Empty:
             watch.look()
             continue
+        # Tell the end, errors and results of another version from what was asked for.
         if result is None:
             return
         if isinstance(result, SpreadletsError):

@@ -95,19 +95,23 @@ def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost)
     dx, dy, dz = 0.0, 0.0, 1.0
     step = _first_collision(density, distance, state)
     for _ in range(MAX_COLLISIONS):
+        # A free path that crosses the plane ends there: deposit the light in its ring.
         if z + step * dz >= distance:
             step = (distance - z) / dz
             x, y = x + step * dx, y + step * dy
             ring = min(math.sqrt(x * x + y * y) / distance * scale, rings.shape[0] - 1.0)
             rings[int(ring)] += weight
             return
+        # Move to the collision, which absorbs a part of the light.
         x, y, z = x + step * dx, y + step * dy, z + step * dz
         for channel in range(len(weight)):
             absorbed[channel] += weight[channel] * (1.0 - properties[2 + channel])
             weight[channel] *= properties[2 + channel]
+        # Sample the direction after it, and the next free path.
         cosine = scattering_cosine(g, uniform(state))
         dx, dy, dz = _turn(dx, dy, dz, cosine, 2.0 * math.pi * uniform(state))
         step = free_path(density, state)
+    # After too many collisions, give the path up.
     lost += weight
 
 

@@ -80,6 +80,7 @@ class Aperture:
     obstruction: float = 0.0
 
     def __post_init__(self) -> None:
+        # Check each parameter by itself.
         allowed = {
             "blades": (self.blades == 0 or 3 <= self.blades <= MAX_BLADES, f"0 or 3 to {MAX_BLADES}"),
             "blade_curvature": (0.0 <= self.blade_curvature <= 1.0, "0 to 1"),
@@ -96,6 +97,7 @@ class Aperture:
         for name, (is_good, text) in allowed.items():
             if not is_good:
                 raise InvalidParameterError(f"{name} is {getattr(self, name)}: allowed are {text}")
+        # Check that all of them together leave a part of the pupil open.
         u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
         if not (self.clearance(u, v) > 0.0).any():
             raise InvalidParameterError(f"the aperture lets no light through: {self}")
@@ -217,12 +219,15 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     moves = model.has_direction
 
     def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
+        # Place nodes along a line across the pupil.
         line_angle = angle if moves else LINE_ANGLE
         along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * points[:, :1] - 1.0
         u = along * math.cos(line_angle) - across * math.sin(line_angle)
         v = along * math.sin(line_angle) + across * math.cos(line_angle)
+        # Sample the CoC radius, and scale the aperture's image by it.
         radius = tent(points[:, 1:2], *box[0])
         x, y = (radius * part for part in aperture.image(u, v, side))
+        # Sample direction, length and time, and move the image along its path.
         if moves:
             heading = tent(points[:, 3:4], angle - angle_half_width, angle + angle_half_width)
             way = tent(points[:, 2:3], *box[1]) * shutter_times(points[:, 4:5], curve)

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from spreadlets.precompute.models import aperture
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, lens_chords, point_symmetric, tent
-from spreadlets.psf.model import PsfModel
 
 N_DIMENSIONS = 4
 """Place of the chord, circle of confusion, length of the motion, its direction."""
@@ -17,13 +16,6 @@ N_DIMENSIONS = 4
 def read_settings(*, shutter_curve: Sequence[float] | str | None = None, **shape: Any) -> dict[str, Any]:
     """Return the settings of an aperture, see `precompute.models.aperture.read_settings`."""
     return aperture.read_settings(shutter_curve, shape)
-
-
-def tracer(model: PsfModel, side: int) -> Tracer:
-    """Return what traces this model; behind a round, even aperture both sides of the focus are alike."""
-    if model.settings:
-        return aperture.tracer(model, side)
-    return Tracer(N_DIMENSIONS, trace, reach, point_symmetric)
 
 
 def trace(
@@ -48,3 +40,7 @@ def trace(
 def reach(box: npt.NDArray[np.float64]) -> float:
     """Return the largest distance from the centre that a ray can have, px: the path's centre is at mid-shutter."""
     return float(box[0, 1] + 0.5 * box[1, 1])
+
+
+ROUND = Tracer(N_DIMENSIONS, trace, reach, point_symmetric)
+"""Tracer of the model without settings: a round, even aperture and a box shutter."""

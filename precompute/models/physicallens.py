@@ -148,9 +148,11 @@ def read_settings(
     """
     if width < 1:
         raise InvalidParameterError(f"width is {width}: frames have at least 1 px")
+    # Read the prescription; its pupil tells how wide it opens.
     found = prescription.read_prescription(lens)
     first_order = prescription.paraxial(found)
     widest = first_order.focal_length / (2.0 * first_order.pupil_radius)
+    # Take focal length, f-number, focus and sensor from the camera.
     view: dict[str, float] = dict(DEFAULT_CAMERA, f_number=widest)
     if camera is not None:
         view = {name: getattr(camera, name) for name in view}
@@ -159,10 +161,12 @@ def read_settings(
             f"the camera's f-number is {view['f_number']:g}; the lens {found.title!r} opens to {widest:.3g}, no wider"
         )
     focus_per_m = 1.0 / view.pop("focus_distance_m")
+    # Record surfaces and view.
     settings = {
         "lens": {"title": found.title, "surfaces": [_as_json(surface) for surface in found.surfaces]},
         "view": {name: float(value) for name, value in view.items()} | {"focus_per_m": focus_per_m, "width_px": width},
     }
+    # Measure aberrations and illumination, out to the corner of a square sensor.
     corner = 0.5 * math.sqrt(2.0) * view["sensor_width_mm"]
     return settings | {
         "max_eccentricity_mm": corner,
@@ -207,6 +211,7 @@ def _lit_area(focused: FocusedLens, height_mm: float) -> float:
 
 def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
     """Scale, stop down and focus the lens of some settings."""
+    # Scale the prescription to the camera's focal length.
     rows = settings["lens"]["surfaces"]
     surfaces = tuple(
         prescription.Surface(math.inf if r is None else r, t, tuple(glass), s, k, stop)
@@ -215,10 +220,12 @@ def focused_lens(settings: Mapping[str, Any]) -> FocusedLens:
     camera = settings["view"]
     lens = Prescription(settings["lens"]["title"], surfaces)
     lens = lens.scaled(camera["focal_length_mm"] / prescription.paraxial(lens).focal_length)
+    # Stop it down to the camera's f-number.
     first_order = prescription.paraxial(lens)
     radius = 0.5 * camera["focal_length_mm"] / camera["f_number"]
     opening = lens.surfaces[lens.stop].semi_diameter * radius / first_order.pupil_radius
     lens = lens.stopped(min(opening, lens.surfaces[lens.stop].semi_diameter))
+    # Move the sensor to the best focus.
     focus = camera["focus_per_m"]
     sensor_distance = _best_focus(lens, focus / MM_PER_M)
     mm_per_px = camera["sensor_width_mm"] / camera["width_px"]
@@ -312,15 +319,19 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         return lit_pupil(focused, np.array(box), side)
 
     def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
+        # Place nodes along lines across the lit part of the pupil.
         low, high, extent = lit(_hashable(box))
         across = low[1] + (high[1] - low[1]) * points[:, :1]
         along = np.linspace(low[0], high[0], N_NODES)[None, :]
         place = turned(np.broadcast_to(along, (len(points), N_NODES)), across, LINE_ANGLE)
+        # Sample wavelength, distance and image height, and trace the bundles.
         wavelength = SHORTEST_NM + (LONGEST_NM - SHORTEST_NM) * points[:, 1]
         inverse = inverse_distance(focused, tent(points[:, 2], *box[0]), side)
         bundle = trace_bundle(focused, place, wavelength, inverse, tent(points[:, 3], *box[1]))
         clearance = np.where(np.hypot(bundle.x, bundle.y) < extent, bundle.clearance, -1.0)
+        # Colour the light by the response to its wavelength.
         density = np.broadcast_to(rgb_response(wavelength)[:, None, :], (*clearance.shape, 3))
+        # Turn it by the sampled direction, and add its mirror image.
         spread = tent(points[:, 4], -angle_half_width, angle_half_width)[:, None]
         place_on_image = turned(bundle.x, bundle.y, angle + spread)
         half = polylines(place_on_image[..., 0], place_on_image[..., 1], density, clearance)
@@ -381,9 +392,11 @@ def lit_pupil(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[Double
     InvalidParameterError
         If no light gets through; the message names the surface that stops most of it.
     """
+    # Lay a grid over the entrance pupil.
     half = PILOT_RADIUS * focused.pupil_radius
     ticks = np.linspace(-half, half, PILOT_SIDE)
     along, across = np.meshgrid(ticks, ticks)
+    # Trace it from each corner of the cell, at three wavelengths.
     coc, height, wavelength = (
         values.ravel() for values in np.meshgrid(box[0], box[1], (SHORTEST_NM, FOCUS_NM, LONGEST_NM), indexing="ij")
     )
@@ -394,6 +407,7 @@ def lit_pupil(focused: FocusedLens, box: DoubleArray, side: int) -> tuple[Double
     if not lit.any():
         where = f"at an image height of {box[1, 0]:.3g} to {box[1, 1]:.3g} mm"
         raise InvalidParameterError(_explain_darkness(focused.lens, bundle.events, where))
+    # Bound what is lit from any of them, a step of the grid wider.
     some = lit.any(axis=0)
     step = ticks[1] - ticks[0]
     ranges = [(values.ravel()[some].min() - step, values.ravel()[some].max() + step) for values in (along, across)]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.models import combined, physicallens, simplelens, stylized, volume
+from spreadlets.precompute.models import aperture, combined, physicallens, simplelens, stylized, volume
 from spreadlets.precompute.models.capsule import exact_capsules
 from spreadlets.precompute.models.exact_cache import CachedPsfs
 from spreadlets.precompute.models.lens_mesh import lens_psf
@@ -46,6 +46,11 @@ class ModelEntry(NamedTuple):
     exact: Callable[[PsfModel], ExactPsf | None]
 
 
+def _thin_lens(own: Tracer) -> Callable[[PsfModel, int], Tracer]:
+    """Return the tracer of each side: of a round, even aperture the model's own, the same for both."""
+    return lambda model, side: aperture.tracer(model, side) if model.settings else own
+
+
 def _exact_thin_lens(model: PsfModel) -> ExactPsf:
     """Return the PSFs of a thin lens: in closed form, or traced if its aperture or shutter has a shape of its own."""
     return CachedPsfs(partial(_traced_exactly, model)) if model.settings else exact_capsules
@@ -58,8 +63,8 @@ def _traced_exactly(model: PsfModel, coordinate: tuple[float, ...], angle: float
 
 
 REGISTRY = {
-    "simplelens": ModelEntry(simplelens.read_settings, simplelens.tracer, _exact_thin_lens),
-    "combined": ModelEntry(combined.read_settings, combined.tracer, _exact_thin_lens),
+    "simplelens": ModelEntry(simplelens.read_settings, _thin_lens(simplelens.ROUND), _exact_thin_lens),
+    "combined": ModelEntry(combined.read_settings, _thin_lens(combined.ROUND), _exact_thin_lens),
     "physicallens": ModelEntry(
         physicallens.read_settings, physicallens.tracer, lambda model: CachedPsfs(lens_psf(model))
     ),

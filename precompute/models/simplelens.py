@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from spreadlets.precompute.models import aperture
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, lattice_symmetric, lens_chords, tent
-from spreadlets.psf.model import PsfModel
 
 N_DIMENSIONS = 2
 """Place of the chord, circle of confusion."""
@@ -19,13 +18,6 @@ CHORD_ANGLE = 0.3
 def read_settings(**shape: Any) -> dict[str, Any]:
     """Return the settings of an aperture, see `precompute.models.aperture.read_settings`."""
     return aperture.read_settings(None, shape)
-
-
-def tracer(model: PsfModel, side: int) -> Tracer:
-    """Return what traces this model; behind a round, even aperture both sides of the focus are alike."""
-    if model.settings:
-        return aperture.tracer(model, side)
-    return Tracer(N_DIMENSIONS, trace, reach, lattice_symmetric)
 
 
 def trace(
@@ -48,3 +40,7 @@ def trace(
 def reach(box: npt.NDArray[np.float64]) -> float:
     """Return the largest distance from the centre that a ray can have, px."""
     return float(box[0, 1])
+
+
+ROUND = Tracer(N_DIMENSIONS, trace, reach, lattice_symmetric)
+"""Tracer of the model without settings: a round, even aperture."""

@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidFileError, InvalidParameterError
@@ -128,9 +127,11 @@ def _pixels(file: BinaryIO) -> DoubleArray:
 
 def _reduced(light: DoubleArray, size: list[int]) -> DoubleArray:
     """Reduce an image (h, w, 3) to a size: a Gaussian takes out what it cannot show, then it is interpolated."""
+    from scipy import ndimage  # takes a fifth of a second to import; a frame of a thin lens does not need it
+
     shrink = np.array(light.shape) / (*size, 3)
-    smooth = gaussian_filter(light, 0.5 * np.maximum(shrink - 1.0, 0.0), mode="mirror")
-    reduced: DoubleArray = zoom(smooth, 1.0 / shrink, order=1, mode="mirror", grid_mode=True)
+    smooth = ndimage.gaussian_filter(light, 0.5 * np.maximum(shrink - 1.0, 0.0), mode="mirror")
+    reduced: DoubleArray = ndimage.zoom(smooth, 1.0 / shrink, order=1, mode="mirror", grid_mode=True)
     return reduced
 
 
@@ -183,11 +184,13 @@ def tracer(model: PsfModel, side: int) -> Tracer:
 
 def _light_at(light: DoubleArray, x: DoubleArray, y: DoubleArray, offset: DoubleArray) -> DoubleArray:
     """Look up an image at places (n, K) in its pixels from its centre, each channel moved by an offset; (n, K, 3)."""
+    from scipy import ndimage
+
     height, width = light.shape[:2]
     radius = 0.5 * max(height, width)
     row = y + 0.5 * (height - 1)
     planes = [
-        map_coordinates(
+        ndimage.map_coordinates(
             light[..., channel], [row, x - radius * move + 0.5 * (width - 1)], order=1, mode="grid-constant"
         )
         for channel, move in enumerate(offset)

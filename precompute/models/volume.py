@@ -122,6 +122,7 @@ def read_settings(
     InvalidParameterError
         If a value is out of its range.
     """
+    # Check what is to be positive, then the phase function's parameters.
     lengths = {
         "medium_density": medium_density,
         "max_distance": max_distance,
@@ -135,6 +136,7 @@ def read_settings(
         raise InvalidParameterError(f"anisotropy is {anisotropy}: allowed are numbers between -1 and 1, not these")
     if len(albedo) != 3 or not all(0.0 <= a <= 1.0 for a in albedo) or max(albedo) == 0.0:
         raise InvalidParameterError(f"albedo is {tuple(albedo)}: three numbers from 0 to 1 are needed, not all 0")
+    # Express the view by the focal length in px.
     medium = Medium(float(medium_density), float(anisotropy), tuple(map(float, albedo)))
     widths = camera.focal_length_mm / camera.sensor_width_mm if camera else DEFAULT_FOCAL_LENGTHS
     return {

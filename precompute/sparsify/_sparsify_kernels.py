@@ -38,9 +38,11 @@ def throw_darts(cumulative, radius, uniform, max_failures, accepted):
     for attempt in range(uniform.size):
         if n_failures >= max_failures:
             break
+        # Sample a pixel by importance.
         pixel = min(np.searchsorted(cumulative, uniform[attempt], side="right"), height * width - 1)
         row = pixel // width
         column = pixel % width
+        # Look for an earlier point within its radius.
         reach = radius[row, column]
         whole = int(math.floor(reach))
         free = True
@@ -51,6 +53,7 @@ def throw_darts(cumulative, radius, uniform, max_failures, accepted):
                     break
             if not free:
                 break
+        # Accept it, or count the failure.
         if free:
             taken[row, column] = True
             accepted[n_accepted, 0] = row
@@ -73,7 +76,7 @@ def nearest_points(pixel_rc, point_rc, owner):
     pixel_rc : ndarray of shape (P, 2), float64
         Pixels.
     point_rc : ndarray of shape (n, 2), float64
-        Points in ascending order of row.
+        Points in ascending order of row (`test_assignment_agrees_with_brute_force`).
     owner : ndarray of shape (P,), int64
         Receives the index of each pixel's point.
     """
@@ -81,15 +84,18 @@ def nearest_points(pixel_rc, point_rc, owner):
     for i in range(pixel_rc.shape[0]):
         row = pixel_rc[i, 0]
         column = pixel_rc[i, 1]
+        # Begin between the points before and behind the pixel's row.
         above = np.searchsorted(point_rc[:, 0], row)
         below = above - 1
         best = np.inf
         chosen = 0
         while True:
+            # Stop when the row distance alone exceeds the best distance.
             gap_above = (point_rc[above, 0] - row) ** 2 if above < n_points else np.inf
             gap_below = (point_rc[below, 0] - row) ** 2 if below >= 0 else np.inf
             if min(gap_above, gap_below) > best or (above >= n_points and below < 0):
                 break
+            # Step to the point of the nearer row.
             if gap_below <= gap_above:
                 j = below
                 below -= 1
@@ -98,6 +104,7 @@ def nearest_points(pixel_rc, point_rc, owner):
                 j = above
                 above += 1
                 gap = gap_above
+            # Keep the nearest, among equals the first.
             distance = gap + (point_rc[j, 1] - column) ** 2
             if distance < best or (distance == best and j < chosen):
                 best = distance
@@ -157,6 +164,7 @@ def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows)
     n_members = members.shape[1]
     for s in range(sample_rc.shape[0]):
         for orbit in range(members.shape[0]):
+            # Sum what the orbit's points add to the window mean and the detail's differences.
             mean = 0.0
             along_row = 0.0
             along_column = 0.0
@@ -169,6 +177,7 @@ def fill_rows(sample_rc, weight, members, share, mean_table, detail_table, rows)
                 here = detail_table[r, c]
                 along_row += detail_table[r, abs(dc + 1)] - here
                 along_column += detail_table[abs(dr + 1), c] - here
+            # Weight the three rows.
             rows[3 * s, orbit] = weight[s, 0] * share[orbit] * mean
             rows[3 * s + 1, orbit] = weight[s, 1] * share[orbit] * along_row
             rows[3 * s + 2, orbit] = weight[s, 2] * share[orbit] * along_column

@@ -46,6 +46,7 @@ def anneal(
     LKS section 5.5, last step. Points that meet are merged. The reconstruction is updated by the few values that a
     move changes.
     """
+    # Begin with the error of the PSF that the given points make.
     total = float(psf.sum())
     points = merge(point_rc)
     values = collapse(laplacian, points)
@@ -54,14 +55,17 @@ def anneal(
     cost = best_cost = float(np.abs(error).sum()) / total
     best = points
     for step in range(n_steps):
+        # Propose a move, and update the error where sources change.
         proposed = merge(propose(points, psf.shape, rng))
         new_values = collapse(laplacian, proposed)
         trial = error.copy()
         add_sources(trial, *_difference(points, values, proposed, new_values))
         new_cost = float(np.abs(trial).sum()) / total
+        # Accept by Metropolis' rule; the temperature falls linearly.
         temperature = INITIAL_TEMPERATURE * (1.0 - step / n_steps)
         if rng.random() < np.exp(min(0.0, cost - new_cost) / (temperature * cost)):
             points, values, error, cost = proposed, new_values, trial, new_cost
+        # Remember the best set.
         if cost < best_cost:
             best, best_cost = points, cost
     return best

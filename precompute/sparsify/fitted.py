@@ -190,6 +190,7 @@ def _with_spike(spreadlet: Spreadlet, spike: DoubleArray) -> Spreadlet:
         (int(row), int(column)): np.asarray(value, np.float64)
         for (row, column), value in zip(spreadlet.offset_rc, spreadlet.value, strict=True)
     }
+    # Add the spike in whole steps of the fitted values, and sum up what float32 rounds off.
     step = _quantum(spreadlet.value)
     rounded_off = np.zeros_like(spike)
     shape = ONE_PIXEL if spreadlet.direct else ITS_LAPLACIAN
@@ -197,11 +198,13 @@ def _with_spike(spreadlet: Spreadlet, spike: DoubleArray) -> Spreadlet:
         exact = points.get(place, 0.0) + factor * np.rint(spike / step) * step
         points[place] = exact.astype(np.float32).astype(np.float64)
         rounded_off += exact - points[place]
+    # Give that to the nearest other points.
     if not spreadlet.direct:
         others = {rc: rc[0] ** 2 + rc[1] ** 2 for rc in points.keys() - {place for place, _ in shape}}
         nearest = [rc for rc, square in others.items() if square == min(others.values())]
         for place in nearest:
             points[place] = points[place] + rounded_off / len(nearest)
+    # Put the points back in row-major order.
     offset = sorted(points)
     value = np.stack([points[place] for place in offset])
     return Spreadlet(np.array(offset, np.int16), value.astype(np.float32), spreadlet.direct)

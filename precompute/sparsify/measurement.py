@@ -49,6 +49,7 @@ def measure_spreadlet(psf: npt.ArrayLike, spreadlet: Spreadlet) -> dict[str, flo
 def measured(psf: DoubleArray, spreadlet: Spreadlet, spike: DoubleArray | float = 0.0) -> Result:
     """Measure a spreadlet against the PSF on its box, both without the PSF's spike."""
     offset, value = spreadlet.offset_rc.astype(np.int64), spreadlet.value.astype(np.float64)
+    # Draw the spreadlet on the PSF's box, and take its spike off.
     if spreadlet.direct:
         dense = np.zeros_like(psf)
         row, column = (offset + np.asarray(psf.shape[:2]) // 2).T
@@ -56,9 +57,11 @@ def measured(psf: DoubleArray, spreadlet: Spreadlet, spike: DoubleArray | float 
     else:
         dense = reconstruct(offset, value, psf.shape[:2])
     dense[tuple(np.asarray(psf.shape[:2]) // 2)] -= spike
+    # Its energy: a sum of pixels, or a quarter of the trace of a Laplacian's second moments.
     moments = spreadlet.moments()
     energy = (moments[0] if spreadlet.direct else 0.25 * (moments[4] + moments[5])) - spike
     true_energy = psf.sum(axis=(0, 1))
+    # Compare with the PSF.
     largest = float(np.abs(psf if spreadlet.direct else laplacian(psf)).max())
     n_support = int(support(psf).sum())
     return spreadlet, {

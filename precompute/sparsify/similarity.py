@@ -148,13 +148,16 @@ def similarity_equations(psf: DoubleArray, members: IntArray, size: IntArray, gr
     Equations
         One unknown per orbit; the form is an estimate of 1 - SSIM.
     """
+    # Sum the moment constraints over each orbit, and make them orthonormal.
     matrix, target = moment_constraints(psf, members.reshape(-1, 2))
     share = size / members.shape[1]
     matrix = matrix.reshape(len(matrix), *members.shape[:2]).sum(axis=2) * share
     basis, fixed = orthonormal_constraints(matrix, target)
+    # Choose the samples, and tabulate the Green's function as far as they lie from points.
     samples = _choose_samples(psf, members, group)
     reach = int(np.abs(samples.offset_rc).max()) + int(np.abs(members).max()) + 1
     tables = _tables(len(green_table(reach + max(WINDOW_RADIUS, DETAIL_RADIUS))))
+    # Accumulate the normal equations of what the constraints leave open, chunk by chunk.
     gram = np.zeros((len(members), len(members)), order="F")
     rhs = np.zeros((len(members), psf.shape[2]))
     particular, constant = basis @ fixed, 0.0
@@ -166,18 +169,21 @@ def similarity_equations(psf: DoubleArray, members: IntArray, size: IntArray, gr
         gram = scipy.linalg.blas.dsyrk(1.0, rows.T, beta=1.0, c=gram, overwrite_c=1)
         rhs += rows.T @ residual
         constant += float((residual**2).sum())
+    # Fill the other triangle, and project onto the constraints' complement.
     gram = np.triu(gram) + np.triu(gram, 1).T
     return Equations(project(gram, basis), rhs - basis @ (basis.T @ rhs), constant, basis, fixed)
 
 
 def _choose_samples(psf: DoubleArray, members: IntArray, group: tuple[Symmetry, ...]) -> Samples:
     """Sample densely near the points and sparsely elsewhere, and only one of each set of symmetric pixels."""
+    # Find each pixel's distance from the points.
     half = np.asarray(psf.shape[:2]) // 2
     free = np.ones(psf.shape[:2], dtype=np.bool_)
     rows, columns = (members.reshape(-1, 2) + half).T
     free[rows, columns] = False
     distance = distance_transform_edt(free)
     weights = similarity_weights(psf)
+    # Farther out, take pixels at wider strides; each stands for all of its block.
     offsets, scaled = [], []
     for index, (stride, begin) in enumerate(STRIDES):
         end = STRIDES[index + 1][1] if index + 1 < len(STRIDES) else np.inf
@@ -187,8 +193,10 @@ def _choose_samples(psf: DoubleArray, members: IntArray, group: tuple[Symmetry, 
         offsets.append(picked)
         scaled.append(stride**2 * spread[picked[:, 0] + half[0], picked[:, 1] + half[1]])
     offset, weight = np.concatenate(offsets), np.concatenate(scaled)
+    # Take one of each set of symmetric pixels, which stands for all of them.
     chosen, repeats = representatives(offset, group)
     offset, weight = offset[chosen], weight[chosen] * repeats[:, None]
+    # Thin out what is too many.
     kept, share = _thin(free[tuple((offset + half).T)])
     offset, weight = offset[kept], np.sqrt(np.maximum(weight[kept], 0.0) / share[:, None])
     return Samples(offset, weight, _targets(psf, offset + half, weight))

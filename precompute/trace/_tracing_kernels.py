@@ -69,11 +69,14 @@ def cut_lines(
     count = 0
     for line in range(nodes.shape[0]):
         for k in range(nodes.shape[1] - 1):
+            # Skip segments in the dark.
             here, there = clearance[line, k], clearance[line, k + 1]
             if not (here > 0.0 or there > 0.0):
                 continue
+            # Find the parameters between which the clearance is positive.
             first = here / (here - there) if here < 0.0 else 0.0
             last = here / (here - there) if there < 0.0 else 1.0
+            # Cut the ends, and the energy density, to them.
             for axis in range(2):
                 begin, step = nodes[line, k, axis], nodes[line, k + 1, axis] - nodes[line, k, axis]
                 ends[count, axis], ends[count, 2 + axis] = begin + first * step, begin + last * step
@@ -101,7 +104,7 @@ def deposit_segment(i: int, ends: DoubleArray, start: DoubleArray, stop: DoubleA
         Energy density per unit of the segment's parameter t in [0, 1] at its two ends, linear between them; the
         segment's energy is their mean.
     image : float64 array of shape (H, W, C)
-        H and W odd; the segment must lie inside.
+        H and W odd; the segment must lie inside (`test_no_segment_leaves_the_square_that_its_tracer_names`).
 
     Notes
     -----

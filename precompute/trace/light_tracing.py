@@ -17,7 +17,6 @@ the direction. Its dimensions are part of the same low-discrepancy set, so it co
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
@@ -97,6 +96,9 @@ def draw_segments(
     InvalidParameterError
         If the PSF reaches farther than `MAX_REACH_PX`.
     """
+    from scipy import ndimage  # only tracing needs it, and it takes time to import
+
+    # Size the image by the PSF's reach and the pre-filter's.
     reach = tracer.reach(box)
     if not reach <= MAX_REACH_PX:
         raise InvalidParameterError(
@@ -111,15 +113,18 @@ def draw_segments(
         points = kronecker(first, total, most, shift, generators)
         return tracer.trace(points, box, *pose)
 
+    # Estimate the PSF's area, and the cost of a point, from a pilot set.
     chunk = max(CHUNK // tracer.segments_per_point, 1)
     shift = np.random.default_rng(seed).random(tracer.n_dimensions)
     pilot = make_segments(0, PILOT_POINTS, PILOT_POINTS)
     n_rays = rays or max(MIN_RAYS, math.ceil(tracer.rays_per_pixel * _box_area(pilot, pose[0])))
     n_points = math.ceil(n_rays * PILOT_POINTS / _cost(pilot))
+    # Deposit the segments chunk by chunk, a share of them into each image of a stack.
     images = np.zeros((N_BLOCKS, 2 * half + 1, 2 * half + 1, pilot.start.shape[1]))
     for first in range(0, n_points, chunk):
         for_blocks(deposit_segments, len(images), *make_segments(first, n_points, chunk), images)
-    psf = gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
+    # Pre-filter the sum.
+    psf = ndimage.gaussian_filter(images.sum(axis=0), blur, axes=(0, 1), mode="constant", truncate=BLUR_REACH)
     return tracer.symmetrise(np.asarray(psf))
 
 

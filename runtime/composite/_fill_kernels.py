@@ -95,6 +95,7 @@ def pull_sums(begin, end, padded, top, left, seen, kind, shape, coarse):
     rows, cols = padded.shape[:2]
     for row in range(begin, end):
         for col in range(coarse.shape[1]):
+            # Sum colour, weight and measure over the block, each pixel as far as it is sure.
             red = green = blue = weight = measure = np.float32(0.0)
             for y in range(2 * row, min(2 * row + 2, shape[0])):
                 for x in range(2 * col, min(2 * col + 2, shape[1])):
@@ -179,6 +180,7 @@ def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
         for col in range(image.shape[1]):
             if image[row, col, 3] >= one:
                 continue
+            # Normalise the layer's sum by how much of it was seen.
             i, j = row - top, col - left
             inside = 0 <= i < rows and 0 <= j < cols
             weight = padded[i, j, 3] if inside else zero
@@ -189,8 +191,10 @@ def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
             scale = sure / max(measure, least)
             for c in range(4):
                 each[c] = scale * padded[i, j, c] if inside else zero
+            # Fill the share that is missing from the pyramid.
             if measure < least:
                 missing = one - measure / least
                 for c in range(4):
                     each[c] += missing * _interpolate(coarse, row, col, c)
+            # Put the layer behind the image.
             _blend(image[row, col], each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)

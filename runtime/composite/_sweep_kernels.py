@@ -33,12 +33,15 @@ def sum_spans(begin, end, sums, first, last, mean):
     for row in range(begin, end):
         total[:] = 0.0
         for each in range(len(first)):
+            # Take the prefix sums of the row; beyond the border, the nearest row repeats.
             line = sums[min(max(row + each - n, 0), height - 1)]
             left, right = first[each], last[each] + 1
             before, behind = line[1], line[width] - line[width - 1]
+            # Within the image, a span is a difference of two prefix sums.
             inner_begin, inner_end = max(0, -left), max(max(0, -left), width - max(right, 0))
             for col in range(inner_begin, inner_end):
                 total[col] += line[col + right] - line[col + left]
+            # Across the border, it is its inner part and repetitions of the pixels at the ends.
             for col in range(width):
                 if inner_begin <= col < inner_end:
                     continue

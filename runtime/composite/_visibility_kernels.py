@@ -71,6 +71,18 @@ def add_cover(begin, end, variant, layer, farther, radiance, weight, number, nea
 
 
 @kernel
+def add_listed_cover(variant, layer, farther, radiance, weight, at, number, nearer, beyond):
+    """Do as `add_cover` for a list of pixels at ``at`` (h, w, 2), int32: row and column in the frame."""
+    for i in range(variant.shape[0]):
+        for j in range(variant.shape[1]):
+            if variant[i, j] >= 0 and layer[i, j] <= number:
+                row, col = at[i, j, 0], at[i, j, 1]
+                cover = radiance[i, j, 3] * weight[i, j]
+                nearer[row, col] += cover * _share_before(layer[i, j], farther[i, j], number)
+                beyond[row, col] -= cover * _share_before(layer[i, j], farther[i, j], number + 1)
+
+
+@kernel
 def scatter_passing(members, number, sample, moments, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 
@@ -97,14 +109,17 @@ def scatter_passing(members, number, sample, moments, padding, passing):
         row = min(max(padded_row - padding, 0), variant.shape[0] - 1)
         for padded_col in range(width):
             col = min(max(padded_col - padding, 0), variant.shape[1] - 1)
+            # Find the share of the sample that lies behind the layer.
             weight = np.float32(1.0) - _share_before(layer[row, col], farther[row, col], number + 1)
             if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
                 continue
+            # Shear the sample to where its ray passed through the layer.
             x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0] - motion_x * time[row, col]
             y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1] - motion_y * time[row, col]
             left, top = math.floor(x), math.floor(y)
             if left < -1 or top < -1 or left >= width or top >= height:
                 continue
+            # Split it bilinearly.
             right_share, below_share = np.float32(x - left), np.float32(y - top)
             for down in range(2):
                 for right in range(2):
@@ -142,12 +157,14 @@ def box_columns(begin, end, image, half, repeat, out):
     scale = 1.0 / (2 * half + 1)
     for number in range(begin, end):
         left, right = number * STRIPE, min((number + 1) * STRIPE, width)
+        # Sum the box about the first row.
         total = np.zeros(STRIPE, np.float64)
         for row in range(-half, half + 1):
             if repeat or 0 <= row < height:
                 clamped = min(max(row, 0), height - 1)
                 for col in range(left, right):
                     total[col - left] += image[clamped, col]
+        # Slide it down: emit the mean, add the row that comes, take off the one that goes.
         for row in range(height):
             gone, come = row - half, row + half + 1
             for col in range(left, right):

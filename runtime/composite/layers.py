@@ -14,6 +14,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.sweep import sweep_blur
 from spreadlets.runtime.label.labels import Labels
+from spreadlets.runtime.label.pixels import Pixels
 from spreadlets.runtime.plan.layering import Membership
 
 LEAST_REST = np.float32(1e-6)
@@ -43,10 +44,10 @@ class Moments(NamedTuple):
         return max(0, round(BOX_PER_DEVIATION * float(deviation) - 0.5))
 
 
-def layer_moments(passes: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
-    """Return the means of each layer over passes of labels, motions (H, W, 2) and members; None for empty layers."""
+def layer_moments(labelled: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
+    """Return the means of each layer over sets of labels, motions (H, W, 2) and members; None for empty layers."""
     total = np.zeros((n_layers, len(_visibility_kernels.MOMENTS)), np.float64)
-    for labels, motion, members in passes:
+    for labels, motion, members in labelled:
         rows = np.zeros((len(motion), *total.shape), np.float64)
         for_bands(_visibility_kernels.layer_moments, len(rows), *members, labels.coc, labels.length, motion, rows)
         total += rows.sum(axis=0)
@@ -58,21 +59,25 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
     return Moments(coc, coc_squared, length_squared, (x, y))
 
 
-def share_beyond(passes: Sequence[tuple[Membership, tuple[Image, Image]]], number: int, moments: Moments) -> Image:
+def share_beyond(pixel_sets: Sequence[tuple[Membership, Pixels]], number: int, moments: Moments) -> Image:
     """Return how much of what a layer leaves lies beyond it, blurred as the layer is, shape (H, W).
 
     Parameters
     ----------
-    passes : sequence of (members, (radiance, weight))
-        All passes of a frame's pixels; their weights and alphas are the shares that they cover.
+    pixel_sets : sequence of (members, pixels)
+        All that are drawn of a frame; their weights and alphas are the shares that they cover.
     number : int
     moments : Moments
         Of the layer.
     """
-    nearer, beyond = np.zeros((2, *passes[0][0].variant.shape), np.float32)
+    nearer, beyond = np.zeros((2, *pixel_sets[0][1].labels.view.frame_shape), np.float32)
     beyond += 1.0
-    for members, cover in passes:
-        for_bands(_visibility_kernels.add_cover, len(beyond), *members, *cover, number, nearer, beyond)
+    for members, pixels in pixel_sets:
+        cover, places = (pixels.radiance, pixels.weight), pixels.labels.view.places
+        if places is None:
+            for_bands(_visibility_kernels.add_cover, len(beyond), *members, *cover, number, nearer, beyond)
+        else:
+            _visibility_kernels.add_listed_cover(*members, *cover, places.at, number, nearer, beyond)
     blur = moments.disc_radius(), moments.motion
     nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), *blur) for each in (nearer, beyond))
     return np.asarray(beyond / np.maximum(nearer + beyond, LEAST_REST), np.float32)

@@ -26,7 +26,7 @@ class ShareBeyond:
     least = LEAST_SEEN
 
     def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan) -> None:
-        self.pixel_sets = list(zip(plan.members, [(each.radiance, each.weight) for each in pixel_sets], strict=True))
+        self.pixel_sets = list(zip(plan.members, pixel_sets, strict=True))
         self.moments = layers.layer_moments(
             [(each.labels, each.labels.path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,

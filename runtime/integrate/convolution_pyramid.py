@@ -28,7 +28,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
@@ -364,7 +363,11 @@ def _make_solver(key: SolverKey) -> _Solver:
 
 def _fast_side(side: int) -> int:
     """Smallest side, at least as long, whose sine transform is fast."""
-    return side if side <= LONGEST_ODD_SIDE else int(next_fast_len(side + 1, real=True)) - 1
+    if side <= LONGEST_ODD_SIDE:
+        return side
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(side + 1, real=True)) - 1
 
 
 class _ExactSolver:
@@ -441,19 +444,23 @@ class _LevelSolver:
         self.key = key
         method, (height, width, n_channels), threads = key
         self.repeats = method == "multigrid"
+        # Allocate source and answer of each coarser level.
         self.shapes = _level_shapes(height, width)
         flat = [(rows, cols * n_channels) for rows, cols in self.shapes]
         self.sources, self.answers = ([np.empty(shape, np.float32) for shape in flat[1:]] for _ in range(2))
         self.images: list[Rows] = []
         self.nothing = np.empty((0, 0), np.float32)
+        # Allocate what rows and bands report: sums and largest magnitudes.
         self.sums = np.empty((flat[0][0], n_channels), np.float32)
         self.largest = np.empty(flat[0][0], np.int32)
         self.band_largest = np.empty(threads, np.int32)
+        # Tabulate the filters of the finest and the coarser levels.
         self.down, self.up = (
             [complete_taps(getattr(filters, name)) for filters in (FINEST_FILTERS, COARSER_FILTERS)]
             for name in ("down", "up")
         )
         self.weights = [np.array(filters.weights, np.float32) for filters in (FINEST_FILTERS, COARSER_FILTERS)]
+        # Allocate the scratch rows of each thread, with the overlap of neighbouring blocks.
         most_steps = max(len(weights) for weights in self.weights)
         overlap = 2 * (most_steps + kernels.INTERPOLATION_REACH) + 8
         self.relax_scratch = np.empty(
@@ -464,11 +471,13 @@ class _LevelSolver:
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         rows, out_rows = _rows(source), _rows(out)
         cycles, tolerance = (cycles, tolerance) if self.repeats else (0, None)
+        # Filter the source down to the first coarse level.
         scale = self._coarsen(0, rows, self.nothing, True)
         _require_finite(scale, source)
         net = _largest_sum(self.sums)
         image, residual, done = self.nothing, None, 0
         while True:
+            # Solve the coarser levels, and relax their answer at the finest.
             self._solve_coarser_levels()
             direct = done == cycles and tolerance is None
             target = out_rows if direct else self._image(done % 2)
@@ -477,6 +486,7 @@ class _LevelSolver:
             image = target
             if direct:
                 break
+            # Filter the remaining residual down, and stop where it is small enough.
             left = self._coarsen(0, rows, image, tolerance is not None)
             if tolerance is not None:
                 residual = _ratio(left, scale)
@@ -521,6 +531,8 @@ class _LevelSolver:
         for level in range(1, n_coarse):
             self._coarsen(level, self.sources[level - 1], self.nothing)
         coarsest = self.sources[-1].reshape(*self.shapes[-1], -1)
-        self.answers[-1][:] = _rows(solve_dirichlet(coarsest))
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Overflow is found, and reported in words, at the end.
+            self.answers[-1][:] = _rows(solve_dirichlet(coarsest))
         for level in reversed(range(1, n_coarse)):
             self._relax(level, self.nothing, self.sources[level - 1], self.answers[level - 1])

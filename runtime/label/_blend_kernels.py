@@ -97,20 +97,24 @@ def undo_filter(begin, end, depth, place, alpha, gap, source, share):
             share[row, col] = -1.0
             if alpha[row, col] == 0.0:
                 continue
+            # Find the nearest and the farthest pixel around it.
             near, far = (row, col), (row, col)
             for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
                 for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
                     near = (i, j) if depth[i, j] < depth[near] else near
                     far = (i, j) if depth[i, j] > depth[far] else far
+            # Without a step in depth, or on its near side, the pixel is no blend.
             step = place[far] - place[near]
             if step < gap or place[row, col] - place[near] <= (1.0 - PURITY) * step:
                 continue
+            # Find how far its depth lies from the near one's to the far one's: a pure pixel, or a slope, is no blend.
             rise = depth[far] - depth[near]
             part = 0.0 if math.isinf(rise) else (depth[row, col] - depth[near]) / rise
             if part >= PURITY or math.isinf(depth[row, col]):
                 continue
             if _lies_on_surface(depth, place, alpha, row, col, (SMOOTHNESS * rise, SMOOTHNESS * step)):
                 continue
+            # Replace it by the pixel that it is more of.
             whole = alpha[far] == 0.0 or alpha[near] == 0.0
             chosen = near if (part < 0.5 and not whole) or alpha[far] == 0.0 else far
             source[row, col, 0], source[row, col, 1] = chosen

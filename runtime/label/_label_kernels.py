@@ -88,3 +88,13 @@ def path_lengths(begin, end, path, length):
         for col in range(path.shape[1]):
             x, y = np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
             length[row, col] = math.sqrt(x * x + y * y)
+
+
+@kernel
+def take(begin, end, values, source, taken):
+    """Fill ``taken`` (H, W, C) with the values (H, W, C) at the rows and columns of ``source`` (H, W, 2), int32."""
+    for row in range(begin, end):
+        for col in range(values.shape[1]):
+            i, j = source[row, col, 0], source[row, col, 1]
+            for c in range(values.shape[2]):
+                taken[row, col, c] = values[i, j, c]

@@ -100,10 +100,12 @@ def _edge_share(place, row, col, low, high, inside):
     height, width = place.shape
     side = inside.shape[0]
     half = side // 2
+    # Mark what is inside.
     for i in range(side):
         for j in range(side):
             each = place[min(max(row + i - half, 0), height - 1), min(max(col + j - half, 0), width - 1)]
             inside[i, j] = 1.0 if low <= each <= high else 0.0
+    # Sum up the structure tensor of the marks (Sobel gradients).
     xx = yy = xy = 0.0
     for i in range(half - 2, half + 3):
         for j in range(half - 2, half + 3):
@@ -117,10 +119,12 @@ def _edge_share(place, row, col, low, high, inside):
             xy += weight * (right - left) * (below - above)
     if xx + yy == 0.0:
         return inside[half, half]
+    # Turn into the direction of least change, and filter the longer, the straighter the edge is.
     coherence = math.hypot(xx - yy, 2.0 * xy) / (xx + yy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
     step_row, step_col = math.sin(angle), math.cos(angle)
     deviation = ALONG * coherence**2 + ACROSS
+    # Filter along it, with bilinear interpolation.
     total = share = 0.0
     for step in range(1 - half, half):
         weight = math.exp(-0.5 * (step / deviation) ** 2)
@@ -155,13 +159,16 @@ def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
                 for s in range(count):
                     if not bounds[s, 0] <= place[i, j] <= bounds[s, 1]:
                         continue
+                    # Weight a pixel of the surface by nearness and purity.
                     near = 1.0 / (1.0 + 0.25 * ((i - row) ** 2 + (j - col) ** 2))
                     weight = near * np.float64(purity[i, j]) ** PURITY_POWER
                     light = _brightness(radiance[i, j])
+                    # First sum: the geometric mean of brightness.
                     if part == 0:
                         sums[s, 11] += weight
                         sums[s, 12] += weight * math.log(light + NEGLIGIBLE)
                         continue
+                    # Second sum: moments of colour, in which much brighter pixels count little.
                     usual = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
                     weight /= 1.0 + max(light / usual - 1.0, 0.0) ** 2
                     sums[s, 0] += weight
@@ -183,6 +190,7 @@ def _colour_models(count, sums, mean, variance):
     for s in range(count):
         share = sums[s, 2] / sums[s, 0]
         for c in range(4):
+            # Find the moments of the surface's pixels, and those of all others.
             own = sums[s, 3 + c] / sums[s, 0]
             spread = max(sums[s, 7 + c] / sums[s, 0] - own * own, 0.0)
             weight = other = square = 0.0
@@ -194,6 +202,7 @@ def _colour_models(count, sums, mean, variance):
                     square += sums[t, 1] * sums[t, 7 + c] / sums[t, 0]
             other /= weight
             square = max(square / weight - other * other, 0.0)
+            # Take out the others' share.
             mean[s, c] = max((own - (1.0 - share) * other) / share, 0.0)
             noise = LEAST_NOISE + COLOUR_NOISE * mean[s, c]
             variance[s, c] = max(spread - (1.0 - share) ** 2 * square, 0.0) / share**2 + noise**2
@@ -206,6 +215,7 @@ def _fit_shares(colour, mean, variance, trust, count, share):
 
     Colours are Gaussian with the given mean and variance, shares with the guess and deviations ``trust``, and sum to 1.
     """
+    # Set up the normal equations of the shares' changes: the guess, and what the colour lacks.
     xx = 1.0 / trust[1] ** 2
     yy, xy, x, y = 1.0 / trust[2] ** 2, 0.0, 0.0, 0.0
     for c in range(4):
@@ -219,11 +229,13 @@ def _fit_shares(colour, mean, variance, trust, count, share):
             second = mean[2, c] - mean[0, c]
             yy, y = yy + second * second / noise, y + second * missing / noise
             xy += first * second / noise
+    # Solve them.
     determinant = xx * yy - xy * xy
     more, most = (x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant
     share[0] -= more + most
     share[1] += more
     share[2] += most
+    # Clip the shares, leave out what cannot be seen, and normalise.
     total = 0.0
     for s in range(count):
         bright = max(mean[s, 0], mean[s, 1], mean[s, 2], 1.0)
@@ -315,15 +327,18 @@ def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share
     mixed = 0
     for row in range(begin, end):
         for col in range(place.shape[1]):
+            # Begin with a pixel that is all its own.
             for s in range(MOST):
                 source[row, col, s, 0], source[row, col, s, 1] = row, col
                 share[row, col, s] = 1.0 if s == 0 else 0.0
                 colours[row, col, s] = radiance[row, col]
             if place[row, col] == math.inf or not _is_mixed(place, row, col, gap):
                 continue
+            # Find the surfaces around a pixel of an edge.
             count = _surfaces_around(place, row, col, gap, spare, bounds)
             if count < 2:
                 continue
+            # Guess their shares by the edge, or take those that a filtered depth told.
             each[:] = 0.0
             total = 0.0
             for s in range(count):
@@ -335,11 +350,13 @@ def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share
                 nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
                 trust[1] = TRUST_DEPTH
+            # Fit the shares to the pixel's colour.
             _add_colours(place, radiance, purity, row, col, bounds, count, sums)
             _colour_models(count, sums, mean, variance)
             _fit_shares(radiance[row, col], mean, variance, trust, count, each)
             if each[0] == 1.0:
                 continue
+            # Divide the colour among the surfaces.
             mixed += 1
             for s in range(count):
                 share[row, col, s] = each[s]

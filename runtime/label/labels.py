@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from spreadlets.arrays import DoubleArray, FloatArray
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.model import Heading, PsfModel
 from spreadlets.scene.camera import ThinLens
@@ -23,6 +24,13 @@ NO_SHIFT = np.zeros((0, 0, 2), np.int32)
 """The shift of pixels that are drawn where they are."""
 
 
+class Places(NamedTuple):
+    """Where the pixels of a list lie: row and column (h, w, 2), int32, in a frame of (H, W) pixels."""
+
+    at: npt.NDArray[np.int32]
+    frame_shape: tuple[int, int]
+
+
 class View(NamedTuple):
     """What the place of a pixel in the image stands for.
 
@@ -35,37 +43,50 @@ class View(NamedTuple):
     sensor_mm_per_px : float
         Size of a pixel on the sensor.
     centre : tuple of float
-        From the array's middle to the picture's centre, (x, y), px: the array may reach beyond what is displayed.
+        From the frame's middle to the picture's centre, (x, y), px: the frame may reach beyond what is displayed.
+    places : Places or None
+        Where the pixels of a list lie; None if they are all those of the frame.
     """
 
     depth: FloatArray
     focal_length_px: float
     sensor_mm_per_px: float
     centre: tuple[float, float] = (0.0, 0.0)
+    places: Places | None = None
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Height and width of the frame, px."""
+        return (self.depth.shape[0], self.depth.shape[1]) if self.places is None else self.places.frame_shape
 
     def position(self) -> FloatArray:
         """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""
-        height, width = self.depth.shape
-        x, y = np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1)
-        return self._from_centre(x, y)
+        return self._from_centre(1)
 
     def block_position(self) -> FloatArray:
         """Return the place (x, y), from the image's centre, of the middle of the block that each pixel is in, px.
 
         A lens changes from one side of the image to the other. Neighbours that share their PSF are drawn as one.
         """
-        height, width = self.depth.shape
-        block = max(size for size in BLOCKS if size * LEAST_BLOCKS <= max(height, width) or size == 1)
-        middle = [np.arange(size) // block * block + 0.5 * (block - 1) for size in (width, height)]
-        return self._from_centre(middle[0] - 0.5 * (width - 1), middle[1] - 0.5 * (height - 1))
+        return self._from_centre(
+            max(size for size in BLOCKS if size * LEAST_BLOCKS <= max(self.frame_shape) or size == 1)
+        )
 
     def image_height(self) -> FloatArray:
         """Return the distance of each pixel from the image's centre, px, shape (H, W)."""
         place = self.position()
         return np.hypot(place[..., 0], place[..., 1])
 
-    def _from_centre(self, x: DoubleArray, y: DoubleArray) -> FloatArray:
-        return np.stack(np.meshgrid(x - self.centre[0], y - self.centre[1]), axis=-1).astype(np.float32)
+    def _from_centre(self, block: int) -> FloatArray:
+        """Return the places (x, y) of the middles of the blocks of pixels, from the image's centre, px."""
+        y, x = (
+            np.arange(size) // block * block + 0.5 * (block - 1) - 0.5 * (size - 1) - off
+            for size, off in zip(self.frame_shape, self.centre[::-1], strict=True)
+        )
+        if self.places is not None:
+            at = self.places.at
+            return np.stack([x[at[..., 1]], y[at[..., 0]]], axis=-1).astype(np.float32)
+        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
 
 
 class Labels(NamedTuple):

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,12 +52,14 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     -----
     Bayesian matting (Chuang et al. 2001) in closed form, for up to three surfaces, whose depths are known.
     """
+    # Undo a filter of the depth.
     height, width = layer.shape
     place, known = _places(layer, camera), np.full(layer.shape, -1.0, np.float32)
     if depth_is_filtered(place):
         layer, known = without_filter(layer, place)
         place = _places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
+    # Divide each pixel among the surfaces around it.
     purity = np.empty_like(place)
     for_bands(_surface_kernels.find_purity, height, place, LEAST_GAP, purity)
     source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
@@ -66,10 +69,13 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
         yield layer, None
         return
+    # Gather the first surfaces of all pixels in a layer, then the second and the third.
     for number in range(_surface_kernels.MOST):
         weight = np.ascontiguousarray(share[:, :, number])
         if weight.any():
-            yield _surface(layer, np.ascontiguousarray(colours[:, :, number]), source[:, :, number]), weight
+            shown = np.ascontiguousarray(colours[:, :, number])
+            # The first surface is the pixel's own.
+            yield _surface(layer, shown, source[:, :, number]) if number else replace(layer, radiance=shown), weight
 
 
 def _places(layer: Layer, camera: ThinLens) -> Image:
@@ -153,13 +159,16 @@ def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:
     """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
-    place = source[..., 0], source[..., 1]
-    before, after = layer.motion_prev, layer.motion_next
-    return replace(
-        layer,
-        radiance=colours,
-        depth=layer.depth[place],
-        motion=layer.motion[place],
-        motion_prev=None if before is None else before[place],
-        motion_next=None if after is None else after[place],
-    )
+    planes: dict[str, Any] = {
+        name: _at_sources(getattr(layer, name), source)
+        for name in ("depth", "motion", "motion_prev", "motion_next")
+        if getattr(layer, name) is not None
+    }
+    return replace(layer, radiance=colours, **planes)
+
+
+def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
+    taken = np.empty_like(values)
+    shape = (*values.shape[:2], -1)
+    for_bands(_label_kernels.take, len(values), values.reshape(shape), source, taken.reshape(shape))
+    return taken

@@ -96,22 +96,26 @@ def extend_frame(begin, end, frame, colours, reach, origin, radiance, label):
     share = frame.weight
     height, width = frame.label.shape
     for i in range(begin, end):
+        # Find the nearest pixel of the frame.
         down = origin[0] + i
         row = min(max(down, 0), height - 1)
         for j in range(label.shape[1]):
             right = origin[1] + j
             col = min(max(right, 0), width - 1)
             index = frame.label[row, col]
+            # Draw nothing that lies too far outside for its PSF to reach back.
             weight = share[row, col] if share.shape[0] else np.float32(1.0)
             distance = max(abs(down - row), abs(right - col))
             if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
                 label[i, j] = -1
                 continue
+            # Weight the frame's own pixels.
             if distance == 0:
                 label[i, j] = index
                 for c in range(4):
                     radiance[i, j, c] = weight * frame.radiance[row, col, c]
                 continue
+            # Continue colours beyond the border; black ones draw nothing.
             colour = colour_beyond(colours, down, right, row, col)
             dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
             label[i, j] = -1 if dark else index

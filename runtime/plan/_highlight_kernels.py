@@ -101,7 +101,7 @@ def _move_down(total, sums, row, half, begin, end):
 
 
 @kernel
-def standing_out(first, last, light, sums, counts, half, limits, excess):
+def standing_out(first, last, light, sums, counts, half, limits, excess, level):
     """Find the pixels that stand out, and how much light their group adds to the display.
 
     Parameters
@@ -118,11 +118,14 @@ def standing_out(first, last, light, sums, counts, half, limits, excess):
         Filled with what the group about the pixel, or the pixel by itself, has above the mean of the surroundings,
         times the display's slope at that mean; 0 where the pixel does not stand out. Divided by the area of a PSF, it
         is how much the display changes under it.
+    level : ndarray of shape (H, W), float32
+        Filled with the mean of the surroundings; infinite where too little of them is known.
     """
     height, width = light.shape
     ratio, least_known = limits
     for part in range(first, last):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
+        # Begin the sliding sums of the group and its surroundings above the first row.
         total, known, n_cols = np.zeros((2, end - begin)), np.zeros((2, end - begin)), np.empty((2, end - begin))
         for k in range(2):
             for col in range(begin, end):
@@ -132,6 +135,7 @@ def standing_out(first, last, light, sums, counts, half, limits, excess):
                 if counts.shape[0]:
                     known[k] += counts[k, row, begin:end]
         for row in range(height):
+            # Slide both down to this row.
             _move_down(total, sums, row, half, begin, end)
             if counts.shape[0]:
                 _move_down(known, counts, row, half, begin, end)
@@ -141,16 +145,45 @@ def standing_out(first, last, light, sums, counts, half, limits, excess):
             least = least_known * _pixels_about(row, height, half[1])
             for col in range(begin, end):
                 i = col - begin
+                # Compare the pixel with the mean of the surroundings outside the group.
                 own, n_around, around = (
                     np.float64(light[row, col]),
                     known[1, i] - known[0, i],
                     total[1, i] - total[0, i],
                 )
-                excess[row, col] = 0.0
-                if n_around > least * n_cols[1, i] and own * n_around > ratio * max(around, 0.0):
-                    level = max(around, 0.0) / n_around
-                    more = max(total[0, i] - known[0, i] * level, own - level)
-                    excess[row, col] = more * np.float64(display_slope(np.float32(level)))
+                excess[row, col], level[row, col] = 0.0, math.inf
+                if n_around > least * n_cols[1, i]:
+                    mean = max(around, 0.0) / n_around
+                    level[row, col] = mean
+                    if own > ratio * mean:
+                        more = max(total[0, i] - known[0, i] * mean, own - mean)
+                        excess[row, col] = more * np.float64(display_slope(np.float32(mean)))
+
+
+@kernel
+def listed_excess(begin, end, light, at, frame_excess, level, ratio, excess):
+    """Fill the excess of pixels of a list: that of the frame's pixel, or of their own light if it is brighter.
+
+    Parameters
+    ----------
+    light : ndarray of shape (h, w), float32
+    at : ndarray of shape (h, w, 2), int32
+        Row and column in the frame.
+    frame_excess, level : ndarray of shape (H, W), float32
+        See `standing_out`, for the frame.
+    ratio : float
+        As there.
+    excess : ndarray of shape (h, w), float32
+        Filled.
+    """
+    for row in range(begin, end):
+        for col in range(light.shape[1]):
+            y, x = at[row, col, 0], at[row, col, 1]
+            own, mean = np.float64(light[row, col]), np.float64(level[y, x])
+            excess[row, col] = 0.0
+            if own > ratio * mean:
+                alone = (own - mean) * np.float64(display_slope(np.float32(mean)))
+                excess[row, col] = max(np.float64(frame_excess[y, x]), alone)
 
 
 @kernel
@@ -173,8 +206,10 @@ def sources_of_light(begin, end, light, excess, ratio, source):
         for col in range(width):
             here, there = row * width + col, -1
             source[row, col] = here
+            # What does not stand out is its own source.
             if excess[row, col] == 0.0:
                 continue
+            # Climb to the brightest neighbour while that is much brighter.
             for _ in range(EDGE_WIDTH):
                 y, x = here // width, here % width
                 there = here

@@ -23,12 +23,16 @@ class Splats(NamedTuple):
 
 
 class Stepped(NamedTuple):
-    """Pixels: colours (H, W, 4), float32; weights and labels (H, W); steps (H, W, 2) of `place_steps`."""
+    """Pixels: colours (H, W, 4), float32; weights and labels (H, W); steps (H, W, 2) of `place_steps`; places.
+
+    Places (H, W, 2), int32, are rows and columns in the frame of the pixels of a list, and empty for a frame.
+    """
 
     radiance: Image
     weight: Image
     label: npt.NDArray[np.int32]
     steps: npt.NDArray[np.int32]
+    at: npt.NDArray[np.int32]
 
 
 class Pooled(NamedTuple):
@@ -74,8 +78,33 @@ def place_steps(begin, end, shift, label, wide, steps):
                 steps[row, col, axis] = np.int32(step)
 
 
+@helper(inline="always")
+def _list_splat(pixels, i, j, colour, down, across, shape, reach, first_row, at, splats):
+    """Count the splats of one pixel at a place, or list them: up to four, if its centre lies between pixels."""
+    height, width = shape
+    index = pixels.label[i, j]
+    far = reach[index % len(reach)]
+    step_y, step_x = np.int64(pixels.steps[i, j, 0]), np.int64(pixels.steps[i, j, 1])
+    # Shifts and masks take the floor of negative steps, too.
+    part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
+    first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
+    for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
+        for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
+            place = at[y - first_row]
+            at[y - first_row] = place + 1
+            if len(splats.label):
+                share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
+                    STEPS_PER_PIXEL - part_x if x == first_x else part_x
+                )
+                part = pixels.weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
+                splats.label[place] = index
+                splats.col[place] = x
+                for c in range(4):
+                    splats.radiance[place, c] = part * colour[c]
+
+
 @kernel
-def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, splats):
+def list_splats(begin, end, pixels, shape, colours, padding, reach, first_row, at, splats):
     """Count the splats of labelled pixels in each row of the image, or list them.
 
     A splat whose centre lies between pixels becomes up to four. Pixels beyond the frame's border are drawn with the
@@ -84,6 +113,8 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
     Parameters
     ----------
     pixels : Stepped
+    shape : tuple of two ints
+        Height and width of the frame.
     colours : Colours
     padding : Sides
     reach : ndarray of shape (n_variants,), int64
@@ -96,44 +127,28 @@ def list_splats(begin, end, pixels, colours, padding, reach, first_row, at, spla
     splats : Splats
         Filled, or empty just to count.
     """
-    label, steps = pixels.label, pixels.steps
-    filling = len(splats.label) > 0
-    height, width = label.shape
-    rows, cols = padding.above + height + padding.below, padding.left + width + padding.right
+    n_rows, n_cols = pixels.label.shape
+    height, width = shape
     n_chunks = len(at)
     for chunk in range(begin, end):
-        for i in range(chunk * rows // n_chunks, (chunk + 1) * rows // n_chunks):
-            down = i - padding.above
-            row = min(max(down, 0), height - 1)
-            for j in range(cols):
-                across = j - padding.left
-                col = min(max(across, 0), width - 1)
-                index = label[row, col]
-                if index < 0:
+        for i in range(chunk * n_rows // n_chunks, (chunk + 1) * n_rows // n_chunks):
+            for j in range(n_cols):
+                if pixels.label[i, j] < 0 or pixels.weight[i, j] == 0:
                     continue
-                colour = pixels.radiance[row, col]
-                if down != row or across != col:
-                    colour = colour_beyond(colours, down, across, row, col)
-                if colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0:
-                    continue
-                far = reach[index % len(reach)]
-                step_y, step_x = np.int64(steps[row, col, 0]), np.int64(steps[row, col, 1])
-                # Shifts and masks take the floor of negative steps, too.
-                part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
-                first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
-                for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
-                    for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
-                        place = at[chunk, y - first_row]
-                        at[chunk, y - first_row] = place + 1
-                        if filling:
-                            share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
-                                STEPS_PER_PIXEL - part_x if x == first_x else part_x
-                            )
-                            part = pixels.weight[row, col] * np.float32(share / STEPS_PER_PIXEL**2)
-                            splats.label[place] = index
-                            splats.col[place] = x
-                            for c in range(4):
-                                splats.radiance[place, c] = part * colour[c]
+                row, col = i, j
+                if len(pixels.at):
+                    row, col = np.int64(pixels.at[i, j, 0]), np.int64(pixels.at[i, j, 1])
+                # What lies on the border is drawn again beyond it, as far as it was found to reach back.
+                top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
+                bottom = row + (padding.below if row == height - 1 else 0)
+                right = col + (padding.right if col == width - 1 else 0)
+                for down in range(top, bottom + 1):
+                    for across in range(left, right + 1):
+                        colour = pixels.radiance[i, j]
+                        if down != row or across != col:
+                            colour = colour_beyond(colours, down, across, row, col)
+                        if colour[0] != 0 or colour[1] != 0 or colour[2] != 0 or colour[3] != 0:
+                            _list_splat(pixels, i, j, colour, down, across, shape, reach, first_row, at[chunk], splats)
 
 
 @helper

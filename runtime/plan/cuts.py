@@ -28,6 +28,10 @@ PATH_RADIUS = 1.0 / math.sqrt(6.0)
 """Radius of the disc that, in the mean over both axes, has the variance of a path of length 1."""
 
 
+Labelled = tuple[Labels, npt.NDArray[np.int32]]
+"""Labels, and the number of each pixel's variant."""
+
+
 class Steps(NamedTuple):
     """What lies in equal steps of depth, and what meets.
 
@@ -52,38 +56,70 @@ class Steps(NamedTuple):
     path: DoubleArray
 
 
-def find_steps(passes: Sequence[tuple[Labels, npt.NDArray[np.int32]]], low: float, high: float, n_steps: int) -> Steps:
-    """Count which steps of depth meet in some passes of pixels.
+def find_steps(
+    frames: Sequence[Labelled], low: float, high: float, n_steps: int, lists: Sequence[Labelled] = ()
+) -> Steps:
+    """Count which steps of depth meet in some pixels.
 
     Parameters
     ----------
-    passes : sequence of (labels, variant)
-        Variants, (H, W), are negative where nothing is drawn.
+    frames : sequence of (labels, variant)
+        Of all pixels of a frame. Variants, (H, W), are negative where nothing is drawn.
     low, high : float
         Range of ``-1 / depth`` that the steps divide; what lies beyond is in the first or the last.
     n_steps : int
+    lists : sequence of (labels, variant)
+        Of lists of pixels, which meet the first frame's.
     """
     sums, meetings = np.zeros((4, n_steps)), np.zeros(n_steps * n_steps)
     seams = np.zeros(n_steps + 1)
-    stride = max(1, math.isqrt(passes[0][1].size // MEETING_PIXELS))
+    # Thin the rows of large frames.
+    stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
     places = []
-    for labels, variant in passes:
-        position = (-1.0 / labels.view.depth[::stride].astype(np.float64) - low) * (n_steps / (high - low))
-        drawn = variant[::stride] >= 0
-        position = np.where(drawn, np.clip(position, 0.0, n_steps - 0.5), NOWHERE)
-        places.append(np.where(drawn, position, -1.0).astype(np.int64))
-        values = np.ones_like(labels.coc), labels.coc, labels.path[..., 0], labels.path[..., 1]
-        sums += [np.bincount(places[-1][drawn], each[::stride][drawn], n_steps) for each in values]
+    for labels, variant in frames:
+        rows = slice(None, None, stride)
+        position = _positions(labels, variant, rows, low, high, n_steps)
+        places.append(_steps(position))
+        sums += _sums(labels, rows, places[-1], n_steps)
+        # Count which steps meet along a row, and which borders part neighbours.
         for distance in DISTANCES:
             _add_meetings(places[-1][:, distance:], places[-1][:, :-distance], meetings)
         _add_seams(position[:, 1:], position[:, :-1], seams)
+    # Count which steps meet between the passes.
     for first, second in combinations(places, 2):
         _add_meetings(first, second, meetings)
+    # Count which steps of a list meet those of the frame at the same pixel.
+    for labels, variant in lists:
+        assert labels.view.places is not None, "only lists have places"
+        at = labels.view.places.at
+        looked_at = at[..., 0] % stride == 0
+        step = _steps(_positions(labels, variant, looked_at, low, high, n_steps))
+        sums += _sums(labels, looked_at, step, n_steps)
+        _add_meetings(step, places[0][at[looked_at][:, 0] // stride, at[looked_at][:, 1]], meetings)
     n_pairs = max(len(DISTANCES) * sums[0].sum(), 1.0)
     coc, *path = sums[1:] / np.maximum(sums[0], 1.0)
     return Steps(
         sums[0] > 0, meetings.reshape(n_steps, n_steps) / n_pairs, seams / n_pairs, coc, np.stack(path, axis=1)
     )
+
+
+def _positions(
+    labels: Labels, variant: npt.NDArray[np.int32], chosen: slice | BoolArray, low: float, high: float, n_steps: int
+) -> DoubleArray:
+    """Return where pixels lie in steps of depth, `NOWHERE` if they are not drawn."""
+    position = (-1.0 / labels.view.depth[chosen].astype(np.float64) - low) * (n_steps / (high - low))
+    return np.where(variant[chosen] >= 0, np.clip(position, 0.0, n_steps - 0.5), NOWHERE)
+
+
+def _steps(position: DoubleArray) -> IntArray:
+    return np.where(position >= 0.0, position, -1.0).astype(np.int64)
+
+
+def _sums(labels: Labels, chosen: slice | BoolArray, step: IntArray, n_steps: int) -> DoubleArray:
+    """Return the numbers of pixels in each step, and the sums of their CoC radii and paths, (4, n_steps)."""
+    drawn = step >= 0
+    coc, path = labels.coc[chosen][drawn], labels.path[chosen][drawn]
+    return np.array([np.bincount(step[drawn], each, n_steps) for each in (None, coc, path[..., 0], path[..., 1])])
 
 
 def _add_meetings(first: IntArray, second: IntArray, meetings: DoubleArray) -> None:

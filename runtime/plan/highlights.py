@@ -55,7 +55,7 @@ class Highlights(NamedTuple):
     Attributes
     ----------
     number : list of ndarrays of shape (H, W), int32
-        For each pass, which of the PSFs is each pixel's; -1 for the others.
+        For each set, which of the PSFs is each pixel's; -1 for the others.
     psfs : list of Spreadlet
         Direct points, their rows ascending.
     """
@@ -95,7 +95,7 @@ class Highlights(NamedTuple):
         ]
         if not lights:
             return []
-        shape = self.number[0].shape
+        shape = pixel_sets[0].labels.view.frame_shape
         parts = [part for each in lights for part in each.placed(wide).in_layers(table.n_variants)]
         joined = _Lights(*map(np.concatenate, zip(*parts, strict=True)))
         return [joined.reaching(shape, table).as_pass()]
@@ -130,7 +130,7 @@ def find_highlights(
     codes = _from_sources(pixel_sets, keys, codes, lights)
     used, number = _numbered(codes)
     view = pixel_sets[0].labels.view
-    coordinates = _coordinates(used, model, view.depth.shape[1], view.sensor_mm_per_px)
+    coordinates = _coordinates(used, model, view.frame_shape[1], view.sensor_mm_per_px)
     return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
 
 
@@ -157,7 +157,8 @@ class _Lights(NamedTuple):
         """List the pixels of a pass that have a label, in raster order."""
         at = np.nonzero(label >= 0)
         weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
-        place = np.stack(at, axis=1).astype(np.float32)
+        places = pixels.labels.view.places
+        place = (np.stack(at, axis=1) if places is None else places.at[at]).astype(np.float32)
         if pixels.labels.shift is not None:
             place += pixels.labels.shift[at][:, ::-1]
         radiance = pixels.radiance[at] * weight
@@ -205,33 +206,52 @@ class _Lights(NamedTuple):
 
 
 class _Light(NamedTuple):
-    """What the colours of some sets say: how far each pixel stands out, and where its light is from."""
+    """What the colours of some sets say: how far each pixel stands out, from what, and where its light is from."""
 
     excess: FloatArray
+    level: FloatArray
     source: IntArray
-    """See the kernels; each (H, W)."""
+    """See the kernels; each (H, W), the source empty for a list."""
 
 
 def _lights(pixel_sets: Sequence[Pixels], stochastic: bool) -> list[_Light]:
-    """Return what the colours of each set say; sets often share them."""
+    """Return what the colours of each set say; sets often share them, and lists stand out from a frame."""
     look = _light_of_samples if stochastic else _light_of_pixels
-    return [look(pixels.radiance) for pixels in pixel_sets]
+    found = [look(pixels.radiance if pixels.frame is None else pixels.frame) for pixels in pixel_sets]
+    return [
+        _listed_light(pixels, light) if pixels.is_list else light
+        for pixels, light in zip(pixel_sets, found, strict=True)
+    ]
 
 
 def _light(radiance: Image, stochastic: bool) -> _Light:
     shape = radiance.shape[:2]
-    light, excess, source = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int64)
-    for_bands(_highlight_kernels.brightest, shape[0], radiance, light)
+    light, (excess, level) = _brightest(radiance), np.empty((2, *shape), np.float32)
     # A pixel without a sample is not dark: nothing is known of it.
     counts = _row_sums(radiance[..., 3]) if stochastic else np.zeros((0, 0, 0), np.float32)
     limits = STANDS_OUT, LEAST_KNOWN
     n_stripes = -(-shape[1] // _highlight_kernels.COLUMNS)
     planes = light, _row_sums(light), counts
-    for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess)
+    for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess, level)
     # Neighbours among samples have seen a lamp through other places of the lens.
-    ratio = np.inf if stochastic else MUCH_BRIGHTER
+    ratio, source = np.inf if stochastic else MUCH_BRIGHTER, np.empty(shape, np.int64)
     for_bands(_highlight_kernels.sources_of_light, shape[0], light, excess, ratio, source)
-    return _Light(excess, source)
+    return _Light(excess, level, source)
+
+
+def _listed_light(pixels: Pixels, frame: _Light) -> _Light:
+    places, light = pixels.labels.view.places, _brightest(pixels.radiance)
+    assert places is not None, "only lists have places"
+    excess = np.empty_like(light)
+    given = light, places.at, frame.excess, frame.level
+    for_bands(_highlight_kernels.listed_excess, len(light), *given, STANDS_OUT, excess)
+    return _Light(excess, frame.level, np.zeros((0, 0), np.int64))
+
+
+def _brightest(radiance: Image) -> FloatArray:
+    light = np.empty(radiance.shape[:2], np.float32)
+    for_bands(_highlight_kernels.brightest, len(light), radiance, light)
+    return light
 
 
 _light_of_pixels = Remembered(partial(_light, stochastic=False))
@@ -245,7 +265,8 @@ def _from_sources(
     changed = []
     for key, code, light in zip(keys, codes, lights, strict=True):
         at = np.flatnonzero(code != NOT_ALONE)
-        source = light.source.ravel()[at]
+        # The surfaces of a list have light of their own.
+        source = light.source.ravel()[at] if len(light.source) else at
         most, best = np.zeros(len(at), np.float32), code.ravel()[at]
         # What stays sharp needs no PSF of its own, save for the light that is another's.
         best[(source == at) & (key.ravel()[at] == SHARP)] = NOT_ALONE
@@ -278,7 +299,7 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -
     heading = HEADINGS[model.symmetry.heading](labels) if model.has_direction else nothing
     heading = np.broadcast_to(heading, (*key.shape, 2))
     sided = model.symmetry.sign != "ignored"
-    steps = CodeSteps(RADIUS_STEPS, longest_step(model, key.shape[1]), THIN_RADIUS_PX, sided)
+    steps = CodeSteps(RADIUS_STEPS, longest_step(model, labels.view.frame_shape[1]), THIN_RADIUS_PX, sided)
     coded = CodedLabels(labels.coc, length, heading)
     limits = LEAST_CHANGE, float(LARGEST_AREA)
     for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, coded, steps, limits, code)

@@ -14,7 +14,7 @@ from spreadlets.arrays import DoubleArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.plan import _layer_kernels
-from spreadlets.runtime.plan.cuts import best_cuts, find_steps
+from spreadlets.runtime.plan.cuts import Labelled, best_cuts, find_steps
 
 STRAY_SHARE = 0.002
 STRAY_STRETCH = 2.0
@@ -26,8 +26,6 @@ N_STEPS = 64
 """Equal steps of parallax between whose borders the cuts are chosen."""
 
 BEHIND_ALL = 1 << 20
-
-Labelled = tuple[Labels, npt.NDArray[np.int32]]
 
 
 class Membership(NamedTuple):
@@ -74,12 +72,17 @@ class Layering:
         return cls._of_borders(np.linspace(*_range(labelled), n_layers + 1), softness)
 
     @classmethod
-    def fitted(cls, labelled: Sequence[Labelled], most: int, softness: float) -> Layering:
-        """Cut the range of depths of some pixels, at most so many layers, where surfaces meet that blur differently."""
+    def fitted(
+        cls, labelled: Sequence[Labelled], most: int, softness: float, lists: Sequence[Labelled] = ()
+    ) -> Layering:
+        """Cut the range of depths of frames, at most so many layers, where surfaces meet that blur differently.
+
+        Lists of pixels meet the first frame's.
+        """
         low, high = _range(labelled)
         if most == 1 or not high > low:
             return cls()
-        cuts = best_cuts(find_steps(labelled, low, high, N_STEPS), most)
+        cuts = best_cuts(find_steps(labelled, low, high, N_STEPS, lists), most)
         borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])
         return cls._of_borders(borders, softness)
 

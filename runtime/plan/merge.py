@@ -45,6 +45,7 @@ def merge_blocks(
     levels = [frame]
     if frame.shift is not NO_SHIFT or tolerance <= 0:
         return levels, 0.0
+    # Share the tolerance between the two coarser strides.
     share = np.float32(tolerance / (len(STRIDES) - 1))
     bound = 0.0
     for stride in STRIDES[1:]:
@@ -52,6 +53,7 @@ def merge_blocks(
         height, width = (size // 2 for size in finer.label.shape)
         if not height or not width:
             break
+        # Merge blocks of the finer stride, as far as the PSFs' total variation allows.
         radiance = np.empty((height, width, 4), np.float32)
         label = np.empty((height, width), np.int32)
         worst = np.zeros(height, np.float32)

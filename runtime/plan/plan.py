@@ -180,12 +180,16 @@ def plan_pixels(
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
+    # Choose the variants, and read their cells.
     chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
+    # Assign the pixels to depth layers.
     n_layers, members = _assign(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+    # Lay out what each layer draws.
     tolerance = 0.0 if dense_psf else options.tolerance
     sources, error_bound = _lay_out(
         pixel_sets, chosen, members, n_layers, tolerance, border=border, stochastic=stochastic
     )
+    # Record what is drawn, and what needs no work.
     plan = Plan(
         sources=sources,
         table=chosen.table,
@@ -193,10 +197,10 @@ def plan_pixels(
         n_layers=n_layers,
         members=members,
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
-        pixels_skipped=int(np.logical_and.reduce([index < 0 for index in chosen.indices]).sum()),
+        pixels_skipped=_count_skipped(pixel_sets, chosen.indices),
         error_bound=error_bound,
     )
-    plan.left_out = _left_out(plan, [each.labels for each in pixel_sets], chosen.variants)
+    plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
     return plan
 
 
@@ -237,10 +241,18 @@ def _assign(
     stochastic: bool,
 ) -> tuple[int, list[Membership]]:
     """Divide the range of depths, and assign each pixel to its layers; return their number, too."""
-    divide, usual = (Layering.equal, SAMPLE_SOFTNESS) if stochastic else (Layering.fitted, FRAME_SOFTNESS)
-    labelled = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True)]
-    layering = divide(labelled, n_layers, usual if softness is None else softness)
-    return layering.n_layers, [layering.members(labels, index) for labels, index in labelled]
+    frames = [
+        (each.labels, index if each.curved is None else np.where(each.curved, np.int32(0), index))
+        for each, index in zip(pixel_sets, indices, strict=True)
+        if not each.is_list
+    ]
+    lists = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True) if each.is_list]
+    if stochastic:
+        layering = Layering.equal(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
+    else:
+        layering = Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
+    members = [layering.members(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True)]
+    return layering.n_layers, members
 
 
 def _lay_out(
@@ -259,7 +271,7 @@ def _lay_out(
     # Continue the frame beyond its border, and place or pool its pixels.
     beyond = _border_colours(pixel_sets) if border else [None] * len(pixel_sets)
     parts = _all_parts(highlights.dimmed(pixel_sets), members, beyond, n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, table, n_layers, wide))
+    splats = list(_splat_passes(parts, pixel_sets[0].labels.view.frame_shape, table, n_layers, wide))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     own = highlights.splats(pixel_sets, members, table, len(chosen.variants), wide)
@@ -292,7 +304,9 @@ def _variant_keys(
 
 def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32], ...]:
     """Return the coordinates (H, W) of each pixel; say what the model cannot show."""
-    for name, share in ignored_effects(labels, grid.model):
+    # What a list is of is among the frame's pixels.
+    whole = labels.view.places is None
+    for name, share in ignored_effects(labels, grid.model) if whole else ():
         warnings.warn(
             f"the database's model {grid.model.name!r} has no axis {name!r}: it is ignored on {100 * share:.1f} % of "
             "the pixels",
@@ -300,7 +314,7 @@ def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32]
         )
     found = coordinates(labels, grid.model)
     for axis, values in zip(grid.model.axes, found, strict=True):
-        share = 0.0 if axis.scales else float((np.abs(values) > axis.maximum).mean())
+        share = 0.0 if axis.scales or not whole else float((np.abs(values) > axis.maximum).mean())
         if share > 0:
             warnings.warn(
                 f"{100 * share:.2f} % of the pixels lie beyond the database's largest {axis.name}, "
@@ -377,7 +391,7 @@ def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int
 
 def _border_colours(pixel_sets: Sequence[Pixels]) -> list[Colours]:
     """Return the colours beyond the border of each set; sets often share their colours."""
-    return [_colours_beyond(pixels.radiance) for pixels in pixel_sets]
+    return [_colours_beyond(pixels.radiance if pixels.frame is None else pixels.frame) for pixels in pixel_sets]
 
 
 _colours_beyond = Remembered(border_colours)
@@ -413,7 +427,7 @@ def _parts(
 
 
 def _splat_passes(
-    parts: Iterator[_Part], table: PointTable, n_layers: int, wide: npt.NDArray[np.bool_]
+    parts: Iterator[_Part], shape: tuple[int, int], table: PointTable, n_layers: int, wide: npt.NDArray[np.bool_]
 ) -> Iterator[SplatPass]:
     """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
     shifted = []
@@ -421,8 +435,10 @@ def _splat_passes(
         if pixels.labels.shift is None:
             yield extended_pass(SplatPass((0, 0), pixels.radiance, label), weight, table.reaches, colours)
         else:
-            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, wide, colours))
-    yield from pool(shifted, table.reaches, n_layers)
+            places = pixels.labels.view.places
+            at = None if places is None else places.at
+            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, at, wide, colours))
+    yield from pool(shifted, shape, table.reaches, n_layers)
 
 
 def _variation(
@@ -440,18 +456,35 @@ def _variation(
     return variation
 
 
-def _left_out(plan: Plan, labels: Sequence[Labels], variants: list[Variant]) -> list[str]:
+def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant]) -> list[str]:
     """Name what is not needed."""
+    frames = [each for each in pixel_sets if not each.is_list]
+    labels = [each.labels for each in pixel_sets]
     skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
         "motion": not any(each.length.any() for each in labels),
-        "curved motion": not any(each.shift is not None for each in labels[1:]),
-        "blended depths": all(each.view.depth is labels[0].view.depth for each in labels),
+        "curved motion": all(each.curved is None for each in frames),
+        "blended depths": not any(_is_shared(each) for each in frames),
         "defocus": not any(each.coc.any() for each in labels),
         "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),
         "direct image": not plan.table.direct.any(),
         "scaled PSFs": all(variant.scale == 1.0 for variant in variants),
-        "sub-pixel placement": all(each.shift is None for each in labels),
+        "sub-pixel placement": all(each.labels.shift is None and each.curved is None for each in frames),
     }
     return [name for name, is_skipped in skipped.items() if is_skipped]
+
+
+def _is_shared(pixels: Pixels) -> bool:
+    """Return whether pixels of a frame show several surfaces."""
+    return len(pixels.weight) > 0 and bool(((pixels.weight > 0.0) & (pixels.weight < 1.0)).any())
+
+
+def _count_skipped(pixel_sets: Sequence[Pixels], indices: Sequence[npt.NDArray[np.int32]]) -> int:
+    """Return how many pixels of a frame contribute nothing; what has weight 0 is drawn from a list."""
+    drawn = [
+        (index >= 0) | (each.weight == 0.0) if len(each.weight) else index >= 0
+        for each, index in zip(pixel_sets, indices, strict=True)
+        if not each.is_list
+    ]
+    return int(np.count_nonzero(~np.logical_or.reduce(drawn)))

@@ -9,13 +9,14 @@ splatting is linear; and neighbours with one PSF become runs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands, for_blocks
+from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _pool_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan._pool_kernels import Pooled, Sides, Splats, Stepped
@@ -38,6 +39,8 @@ class PlacedPixels(NamedTuple):
         ``layer * n_variants + variant``, negative where there is none.
     steps : ndarray of shape (H, W, 2), int32
         Displacement (row, col) of the splat's centre from the pixel, in 1/16 px.
+    at : ndarray of shape (H, W, 2), int32
+        Row and column in the frame of the pixels of a list; empty for all pixels of a frame.
     colours : Colours or None
         What lies beyond the border, see `runtime.plan.border.border_colours`; None to end there.
     """
@@ -46,6 +49,7 @@ class PlacedPixels(NamedTuple):
     weight: Image
     label: npt.NDArray[np.int32]
     steps: npt.NDArray[np.int32]
+    at: npt.NDArray[np.int32]
     colours: Colours | None
 
 
@@ -54,6 +58,7 @@ def place_pixels(
     weight: Image,
     label: npt.NDArray[np.int32],
     shift: Image,
+    at: npt.NDArray[np.int32] | None,
     wide: npt.NDArray[np.bool_],
     colours: Colours | None,
 ) -> PlacedPixels:
@@ -67,21 +72,27 @@ def place_pixels(
         Empty if all weights are 1.
     shift : ndarray of shape (H, W, 2), float32
         Displacement (x, y) of the splat's centre from the pixel, px.
+    at : ndarray of shape (H, W, 2), int32, or None
+        Row and column in the frame of the pixels of a list.
     wide : ndarray of shape (n_variants,), bool
         Variants whose centres are moved to the next pixel.
     """
     steps = np.empty(shift.shape, np.int32)
     for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, steps)
-    return PlacedPixels(radiance, weight if len(weight) else np.ones(label.shape, np.float32), label, steps, colours)
+    weight = weight if len(weight) else np.ones(label.shape, np.float32)
+    return PlacedPixels(radiance, weight, label, steps, NO_SHIFT if at is None else at, colours)
 
 
-def pool(pixels: Sequence[PlacedPixels], reaches: npt.NDArray[np.int64], n_layers: int) -> Iterator[SplatPass]:
+def pool(
+    pixels: Sequence[PlacedPixels], shape: tuple[int, int], reaches: npt.NDArray[np.int64], n_layers: int
+) -> Iterator[SplatPass]:
     """Yield the splats of pixels, those of one label and place added up, as passes of one row.
 
     Parameters
     ----------
     pixels : sequence of PlacedPixels
-        All of one shape.
+    shape : tuple of two ints
+        Height and width of the frame.
     reaches : ndarray of shape (n_variants,), int64
         How far each variant reaches from its centre, px.
     n_layers : int
@@ -90,39 +101,45 @@ def pool(pixels: Sequence[PlacedPixels], reaches: npt.NDArray[np.int64], n_layer
     if not pixels or not len(reaches):
         return
     far = int(reaches.max())
-    n_rows = pixels[0].label.shape[0] + 2 * far
+    n_rows = shape[0] + 2 * far
     counts = np.zeros((len(pixels), CHUNKS, n_rows), np.int64)
     nothing = Splats(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4), np.float32))
     for each, count in zip(pixels, counts, strict=True):
-        _list(each, reaches, far, count, nothing)
+        _list(each, shape, reaches, far, count, nothing)
     sizes = counts.sum(axis=(1, 2))
     begin = 0
     while begin < len(pixels):
         end = begin + max(1, int(np.searchsorted(np.cumsum(sizes[begin:]), MOST_SPLATS, side="right")))
         if sizes[begin:end].any():
-            yield _pooled(pixels[begin:end], counts[begin:end], reaches, far, n_layers)
+            yield _pooled(pixels[begin:end], counts[begin:end], shape, reaches, far, n_layers)
         begin = end
 
 
 def _list(
     pixels: PlacedPixels,
+    shape: tuple[int, int],
     reaches: npt.NDArray[np.int64],
     far: int,
     at: npt.NDArray[np.int64],
     splats: Splats,
 ) -> None:
     """Count or list the splats of pixels, see the kernel."""
-    height, width = pixels.label.shape
+    height, width = shape
     none = np.zeros((width, 4), np.float32), np.zeros((height, 4), np.float32)
     colours = Colours(none[0], none[0], none[1], none[1]) if pixels.colours is None else pixels.colours
-    padding = Sides(0, 0, 0, 0) if pixels.colours is None else _padding(pixels, reaches)
-    for_blocks(_pool_kernels.list_splats, len(at), Stepped(*pixels[:4]), colours, padding, reaches, -far, at, splats)
+    padding = Sides(0, 0, 0, 0) if pixels.colours is None else _padding(pixels, shape, reaches)
+    drawn = Stepped(*pixels[:5]), shape, colours, padding, reaches, -far
+    for_blocks(_pool_kernels.list_splats, len(at), *drawn, at, splats)
 
 
-def _padding(pixels: PlacedPixels, reaches: npt.NDArray[np.int64]) -> Sides:
+def _padding(pixels: PlacedPixels, shape: tuple[int, int], reaches: npt.NDArray[np.int64]) -> Sides:
     """Return how far beyond each side a pixel like those on the border reaches back into the frame."""
     found = []
-    for edge, axis, sign in (((0,), 0, 1), ((-1,), 0, -1), ((slice(None), 0), 1, 1), ((slice(None), -1), 1, -1)):
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        border = 0 if sign > 0 else shape[axis] - 1
+        edge: Any = [slice(None)] * 2
+        edge[axis] = border
+        edge = pixels.at[..., axis] == border if len(pixels.at) else tuple(edge)
         label, steps = pixels.label[edge], pixels.steps[edge][..., axis]
         towards = sign * (steps[label >= 0] // _pool_kernels.STEPS_PER_PIXEL) + 1
         found.append(int((reaches[label[label >= 0] % len(reaches)] + towards).max(initial=0)))
@@ -132,6 +149,7 @@ def _padding(pixels: PlacedPixels, reaches: npt.NDArray[np.int64]) -> Sides:
 def _pooled(
     pixels: Sequence[PlacedPixels],
     counts: npt.NDArray[np.int64],
+    shape: tuple[int, int],
     reaches: npt.NDArray[np.int64],
     far: int,
     n_layers: int,
@@ -146,7 +164,7 @@ def _pooled(
     total = int(row_start[-1])
     splats = Splats(np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 4), np.float32))
     for each, place in zip(pixels, at, strict=True):
-        _list(each, reaches, far, place, splats)
+        _list(each, shape, reaches, far, place, splats)
     first_col = int(splats.col.min())
     splats.col[:] -= first_col
     order, n_places = np.empty(total, np.int64), np.empty(n_rows, np.int64)

@@ -175,6 +175,7 @@ def along_direction(source, weights, step_x, step_y, top, left, target):
         out = target[row]
         out[:] = np.float32(0.0)
         for k in range(-radius, radius + 1):
+            # Split the tap's place into a pixel and bilinear shares.
             x, y = k * step_x, k * step_y
             col, line = int(math.floor(x)), int(math.floor(y))
             fx, fy = np.float32(x - col), np.float32(y - line)
@@ -182,10 +183,12 @@ def along_direction(source, weights, step_x, step_y, top, left, target):
             begin = (left + col) * channels
             upper = source[top + row + line].reshape(source.shape[1] * channels)
             p00 = upper[begin : begin + across]
+            # On a pixel, add the shifted row.
             if fx == 0.0 and fy == 0.0:
                 for i in range(across):
                     out[i] += weight * p00[i]
                 continue
+            # Between pixels, add four shifted rows.
             lower = source[top + row + line + 1].reshape(source.shape[1] * channels)
             p01 = upper[begin + channels : begin + channels + across]
             p10 = lower[begin : begin + across]
@@ -291,6 +294,7 @@ def along_shear(source, weights, beta, left, blurred):
         out = blurred[row]
         out[:] = np.float32(0.0)
         for k in range(-radius, radius + 1):
+            # Split the tap's place on its row into a pixel and a share.
             x = beta * k
             col = int(math.floor(x))
             share = np.float32(x - col)
@@ -298,10 +302,12 @@ def along_shear(source, weights, beta, left, blurred):
             begin = (left + col) * channels
             here = line[begin : begin + across]
             weight = weights[k + radius]
+            # On a pixel, add the shifted row.
             if share == 0.0:
                 for i in range(across):
                     out[i] += weight * here[i]
                 continue
+            # Between pixels, add two shifted rows.
             beside = line[begin + channels : begin + channels + across]
             near, far = weight * (np.float32(1.0) - share), weight * share
             for i in range(across):
@@ -479,6 +485,7 @@ def first_pass(way, sums, covariance, ring, tile, between):
     height, width = sums.shape[:2]
     across = tile[1] * N_SUMS
     if way == ROTATED:
+        # Along the longer axis, for the tile and the ring of the second pass.
         sigma_u, sigma_v, cosine, sine = rotated_axes(covariance[0], covariance[1], covariance[2])
         right, down = second_ring(sigma_v, cosine, sine)
         rows, cols = tile[0] + 2 * down, tile[1] + 2 * right
@@ -486,11 +493,13 @@ def first_pass(way, sums, covariance, ring, tile, between):
         weights = gaussian(sigma_u, REACH)
         along_direction(sums, weights, cosine, sine, ring[1] - down, ring[0] - right, target)
     elif way == ROUND_ROTATED:
+        # Along the rows, by a round Gaussian's weights.
         weights = gaussian(math.sqrt(covariance[0]), REACH)
         target = between[: height * across].reshape((height, across))
         for row in range(height):
             along_line(sums[row].reshape(width * N_SUMS), ring[0] * N_SUMS, N_SUMS, weights, target[row])
     elif way == SHEARED or way == ROUND_SHEARED:
+        # Along the rows, recursively, for the tile and the margin of the sheared axis.
         sigma_x, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
         margin = shear_margin(sigma_y, beta) if way == SHEARED else 0
         cols = tile[1] + 2 * margin
@@ -498,6 +507,7 @@ def first_pass(way, sums, covariance, ring, tile, between):
         begin = ring[0] - margin
         recursive_rows(sums, recursion(sigma_x), begin, begin + cols, target)
     else:
+        # Elliptical weighted average: between two levels of the pyramid, make the coarser one.
         level = footprint_of(covariance[0], covariance[1], covariance[2])[6]
         if level > math.floor(level):
             halve(sums, next_level(between, sums.shape))
@@ -528,22 +538,26 @@ def second_pass(way, sums, covariance, ring, between, blurred):
     """
     rows, cols = blurred.shape[0], blurred.shape[1] // N_SUMS
     if way == ROTATED:
+        # Along the shorter axis.
         _, sigma_v, cosine, sine = rotated_axes(covariance[0], covariance[1], covariance[2])
         right, down = second_ring(sigma_v, cosine, sine)
         height, width = rows + 2 * down, cols + 2 * right
         source = between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
         along_direction(source, gaussian(sigma_v, REACH), -sine, cosine, down, right, blurred)
     elif way == SHEARED:
+        # Along the sheared axis.
         _, sigma_y, beta = sheared_axes(covariance[0], covariance[1], covariance[2])
         margin = shear_margin(sigma_y, beta)
         height, width = sums.shape[0], cols + 2 * margin
         source = between[: height * width * N_SUMS].reshape((height, width, N_SUMS))
         along_shear(source, gaussian(sigma_y, REACH), beta, margin, blurred)
     elif way == ROUND_ROTATED or way == ROUND_SHEARED:
+        # Down the columns, by a round Gaussian's weights.
         weights, stride = gaussian(math.sqrt(covariance[2]), REACH), blurred.shape[1]
         for row in range(rows):
             along_line(between, (ring[1] + row) * stride, stride, weights, blurred[row])
     else:
+        # Elliptical weighted average: lookups spread over the footprint.
         look_up(way, sums, next_level(between, sums.shape), covariance, ring[0], ring[1], blurred)
 
 

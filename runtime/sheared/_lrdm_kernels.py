@@ -465,11 +465,13 @@ def reproject(samples, partition, own, holes, layer, slopes, grid, reach, moving
     colour, place, lens, time, first, shape = samples
     top, left, bottom, right, _ = grid
     weighted = slopes[LENS_RATE] > np.float32(0.0) or slopes[TIME_RATE] > np.float32(0.0)
+    # Find how far samples that land in the tile may lie.
     dx = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BX]) * reach[1] + 1.0))
     dy = int(math.ceil(abs(slopes[ETA]) * reach[0] + abs(slopes[BY]) * reach[1] + 1.0))
     counts = np.empty(own.size, np.int8)  # what a sample of each partition is to the layer
     for p in range(own.size):
         counts[p] = SEES if own[p] == layer else PASSES if layer < holes[p] else MISSES
+    # Go through their rows: where each lands, which of them count, and what they add.
     left_end, right_end = max(left - dx, 0), min(right + dx, shape[1])
     landing, chosen = np.empty(0, np.int32), np.empty(0, np.int32)
     for row in range(max(top - dy, 0), min(bottom + dy, shape[0])):

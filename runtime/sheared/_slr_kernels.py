@@ -48,12 +48,15 @@ def pre_integrate(samples, partition, slot, filters, outer, origin, options, sum
         for i in range(first[row * width + left], first[row * width + right]):
             own = slot[partition[i]]
             squared = lens[i, 0] ** 2 + lens[i, 1] ** 2
+            # A sample meets its own layer, and passes all that are nearer.
             for layer in range(own + 1):
+                # Shear it by the layer's slope, and weight it over the lens.
                 x = place[i, 0] - shear[layer] * lens[i, 0] - origin[1]
                 y = place[i, 1] - shear[layer] * lens[i, 1] - origin[0]
                 weight = np.float32(1.0)
                 if sigma_lens[layer] < np.float32(np.inf):
                     weight = np.float32(math.exp(np.float32(-0.5) * squared / sigma_lens[layer] ** 2))
+                # Spread it over the four nearest pixels, or add it to the nearest.
                 if bilinear:
                     col, line = int(math.floor(x)), int(math.floor(y))
                     fx, fy = np.float32(x - col), np.float32(y - line)

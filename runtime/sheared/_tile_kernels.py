@@ -81,6 +81,7 @@ def blur(sums, reach, weights, between, blurred):
     channels = sums.shape[2]
     across = blurred.shape[1]
     height = blurred.shape[0]
+    # Along the rows, including those of the ring that the columns need.
     for row in range(reach - radius, reach + height + radius):
         line = sums[row].reshape(sums.shape[1] * channels)
         target = between[row]
@@ -91,6 +92,7 @@ def blur(sums, reach, weights, between, blurred):
             part = line[begin : begin + across]
             for i in range(across):
                 target[i] += weight * part[i]
+    # Along the columns.
     for row in range(height):
         target = blurred[row]
         target[:] = np.float32(0.0)

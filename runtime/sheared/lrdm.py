@@ -107,6 +107,7 @@ class Lrdm:
     block: int = DEFAULT_BLOCK
 
     def __post_init__(self) -> None:
+        # Check the filter, and that layers, tiles and blocks divide evenly.
         if self.screen_filter not in SCREEN_FILTERS:
             raise InvalidParameterError(
                 f"screen_filter {self.screen_filter!r} is unknown: allowed are {', '.join(SCREEN_FILTERS)}"
@@ -119,6 +120,7 @@ class Lrdm:
             raise InvalidParameterError(
                 f"block is {self.block}: allowed are 0 (the whole image) and multiples of the tile, {self.tile} px"
             )
+        # Check the ranges of the other numbers.
         for name, value, low, high in (
             ("sparsity", self.sparsity, 0, 64),
             ("step", self.step, 0.25, 1000.0),
@@ -129,6 +131,7 @@ class Lrdm:
                 raise InvalidParameterError(f"{name} is {value}: allowed are {low:g} to {high:g}")
         if not self.shrink < 1.0:
             raise InvalidParameterError(f"shrink is {self.shrink}: allowed are values below 1")
+        # A tiling has limits of its own.
         self.tiling((self.tile, self.tile))
 
     def tiling(self, shape: tuple[int, int]) -> Tiling:
@@ -269,11 +272,13 @@ class LrdmFilter:
     def steps(self, block: Block, image: Image) -> dict[str, Step]:
         """Return what is to be done for a block, in order: by the name of a work size, the work and how much."""
         samples, tables, side = self.samples, self.tables, self.method.tile
+        # Gather the arrays that the kernels share.
         given = (samples.colour, samples.place, samples.lens, samples.time, samples.first, samples.shape)
         found = (tables.own, tables.holes, tables.filters)
         inner, first_job, jobs, sums, between = block
         of_filter = (self._way, tables.filters, _lrdm_kernels.SXX, jobs, side)
 
+        # Each step works on a range of the block's layers or tiles.
         def reproject(begin: int, end: int) -> None:
             _lrdm_kernels.reproject_layers(
                 given, self.partition, found, jobs, self.spread, self.moving, begin, end, sums
@@ -285,6 +290,7 @@ class LrdmFilter:
         def composite(begin: int, end: int) -> None:
             _gauss_kernels.composite_tiles(*of_filter, inner, first_job, begin, end, sums, between, image)
 
+        # List the steps with their sizes.
         n_layers = len(jobs[0])
         return {
             "reproject": (reproject, n_layers),

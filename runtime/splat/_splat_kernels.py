@@ -30,7 +30,7 @@ class Level(NamedTuple):
     radiance : ndarray of shape (n_pixels * 4,), float32
         Flattened colours.
     runs : ndarray of shape (n_runs, 5), int32
-        See `RUN_SOURCE`; sorted by row.
+        See `RUN_SOURCE`; sorted by row (`test_runs_of_a_group_are_sorted_by_row`).
     row_start : ndarray of shape (rows + 1,), int64
         Where the runs of each row of the canvas begin.
     """
@@ -127,13 +127,16 @@ def list_runs(begin, end, label, shift, group, start, origin, stride, n_variants
         at = start[:, row].copy()
         col = 0
         while col < width:
+            # A run is neighbours of one label and, if there are any, one displacement.
             end = _run_end(label, shift, row, col)
             if label[row, col] >= 0:
+                # Append it to the runs of its group.
                 i = at[group[label[row, col]]]
                 at[group[label[row, col]]] += 1
                 runs[i, RUN_SOURCE] = row * width + col
                 runs[i, RUN_ROW] = origin[0] + stride * row
                 runs[i, RUN_COL] = origin[1] + stride * col
+                # Displace it.
                 if shift.shape[0]:
                     runs[i, RUN_ROW] += shift[row, col, 0]
                     runs[i, RUN_COL] += shift[row, col, 1]
@@ -182,7 +185,7 @@ def rows_of_points(offset_rc, point_start, reach, base, first):
     Parameters
     ----------
     offset_rc : ndarray of shape (n_points, 2), int32
-        Rows ascending within a variant.
+        Rows ascending within a variant (`test_points_of_a_variant_are_sorted_by_row`).
     point_start : ndarray of shape (n_variants + 1,), int64
     reach : ndarray of shape (n_variants,), int64
         No row of the variant lies farther from 0 than this.
@@ -207,7 +210,7 @@ def point_offsets(begin, end, offset_rc, cols, offsets):
     ----------
     offset_rc : ndarray of shape (n_points, 2), int32
     cols : int
-        Columns of the images, a multiple of 4.
+        Columns of the images, a multiple of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
     offsets : ndarray of shape (3, n_points), int64
         Filled, in floats.
     """
@@ -323,7 +326,7 @@ def splat_levels(begin, end, image, levels, offsets, points, value, window, band
     Parameters
     ----------
     image : ndarray of shape (rows, cols * 4), float32
-        Overwritten; cols is a multiple of 4.
+        Overwritten; cols is a multiple of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
     levels : tuple of three Levels
         Of strides 1, 2 and 4.
     offsets : ndarray of shape (3, n_points), int64
@@ -344,18 +347,23 @@ def splat_levels(begin, end, image, levels, offsets, points, value, window, band
     for band in range(begin, end):
         first_row = band * band_rows
         n_rows = min(band_rows, rows - first_row)
+        # Clear the band.
         target = image[first_row : first_row + n_rows].reshape(n_rows * pitch)
         target[:] = np.float32(0.0)
+        # Find the blocks that reach the band, or the rows above it that spreading needs.
         first_2, end_2 = _runs_near(level_2, first_row - 1, n_rows + 1, window.reach)
         first_4, end_4 = _runs_near(level_4, first_row - 3, n_rows + 3, window.reach)
         if first_2 < end_2 or first_4 < end_4:
             twos[: (n_rows + 1) * pitch] = np.float32(0.0)
             if first_4 < end_4:
                 fours[: (n_rows + 3) * pitch] = np.float32(0.0)
+                # Draw blocks of 4 x 4, and spread them to 2 x 2.
                 _draw_rows(fours, first_row - 3, n_rows + 3, level_4, np.int64(4), offsets[2], points, value, window)
                 _spread(twos, fours, n_rows + 1, np.int64(4), pitch)
+            # Draw blocks of 2 x 2, and spread both to pixels.
             _draw_rows(twos, first_row - 1, n_rows + 1, level_2, np.int64(2), offsets[1], points, value, window)
             _spread(target, twos, n_rows, np.int64(2), pitch)
+        # Draw single pixels.
         _draw_rows(target, first_row, n_rows, level_1, np.int64(1), offsets[0], points, value, window)
 
 
@@ -376,6 +384,7 @@ def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bou
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
     begin, end = bounds
     if n >= LONG_RUN:
+        # Long runs: add the run, scaled by each value of a span.
         for span in range(begin, end):
             o = _U(target + 4 * (spans.row[span] * cols + spans.col[span]))
             for p in range(_U(4 * spans.start[span]), _U(4 * spans.start[span + 1]), _U(4)):
@@ -384,6 +393,7 @@ def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bou
                     store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
                 o += _U(4)
         return
+    # Short runs: add the span, scaled by the colour of each pixel.
     for pixel in range(n):
         for k in range(len(tiled)):
             tiled[k] = radiance[source + _U(4 * pixel + (k & 3))]

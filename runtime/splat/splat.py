@@ -83,19 +83,23 @@ def _joined(sources: Sequence[Runs], group: int, canvas: Canvas) -> Level:
     """Do as `_level` for the runs of several passes of one stride."""
     if len(sources) == 1:
         return _level(sources[0], group, canvas)
+    # Order the runs of all passes by row.
     parts = [each.of(group) for each in sources]
     runs = np.concatenate([np.zeros((0, 5), np.int32), *parts])
     order = np.argsort(runs[:, _splat_kernels.RUN_ROW], kind="stable")
+    # Place their colours one behind another in that order.
     ends = np.cumsum(runs[order, _splat_kernels.RUN_LENGTH], dtype=np.int64)
     place = np.empty(len(runs), np.int64)
     place[order] = ends - runs[order, _splat_kernels.RUN_LENGTH]
     colours = np.empty(4 * int(ends[-1]) if len(ends) else 0, np.float32)
+    # Collect the colours pass by pass.
     begin = 0
     for each, part in zip(sources, parts, strict=True):
         end = begin + len(part)
         source = each.source.radiance.reshape(-1)
         for_bands(_splat_kernels.collect_runs, len(part), source, part, place[begin:end], colours)
         begin = end
+    # Point the runs to them.
     runs[:, _splat_kernels.RUN_SOURCE] = place
     runs = runs[order]
     return Level(colours, runs, _row_start(runs, canvas))

@@ -77,15 +77,18 @@ def build(
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.psf.database import open_database
 
+    # Check the outputs before anything is read.
     reading, lens = take_reading(options), take_camera(options)
     log = [options["log"]] if options["log"] else []
     passes = [value for name, value in reading.items() if name.endswith("_file")]
     check_outputs([output, *log], [*frame_paths, *passes, *filter(None, (camera, options["lens"], options["image"]))])
+    # Read the camera and the frames to build for.
     if frame_paths or camera or lens:
         options["camera"] = camera_of(camera, lens, frame_paths[0] if frame_paths else None)
     if frame_paths:
         chosen = ReadOptions(**reading, camera=options["camera"])
         options["frames"] = [read_frame(path, options=chosen) for path in frame_paths]
+    # Build, and show what was built.
     with progress_bar(f"building {model}", quiet=as_json) as progress:
         build_database(model, output, density=float(density) if density else None, progress=progress, **options)
     with open_database(output) as database:
@@ -121,11 +124,13 @@ def info(
     """
     from spreadlets.files.inspect import is_frame_file
 
+    # A frame has a report of its own.
     if is_frame_file(target):
         if plot or verify:
             raise click.UsageError(f"{'--plot' if plot else '--verify'} is for databases")
         print_figures(_frame_info(target, camera, options), as_json)
         return
+    # Anything else must be a database, and its options a database's.
     named_so = os.path.splitext(target)[1].lower() in ("", *_DATABASE_SUFFIXES)
     if os.path.isdir(target) or not (named_so or is_database_file(target)):
         raise click.UsageError(_no_frame(target))

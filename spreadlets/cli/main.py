@@ -47,12 +47,14 @@ class _Notices(logging.Handler):
 
 def main() -> None:
     """Run the command line; errors of the caller's become one line and exit status 2."""
+    # Warnings and notices become lines on standard error.
     warnings.showwarning = _show_warning
     logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
     logging.getLogger("spreadlets").setLevel(logging.INFO)
     try:
         with options_spelled(spelled):
             cli.main(standalone_mode=False)
+    # Who can mend an error decides its first word and the exit status.
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)

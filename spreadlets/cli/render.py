@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import click
 import cloup
 
+from spreadlets.arrays import Image
 from spreadlets.cli.controls import bokeh_options, control_options, take_bokeh
 from spreadlets.cli.options import (
     TableChoice,
@@ -164,9 +165,15 @@ def synth(
         sys.exit(EXIT_FAILURE)
 
 
+def _compared(image: Image, truth: Image) -> dict[str, float]:
+    """Return the errors of an image."""
+    from spreadlets import metrics
+
+    return metrics.compare(image, truth)
+
+
 def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
-    from spreadlets import metrics
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
@@ -192,7 +199,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
-    figures = metrics.compare(*_alike(image, truth, raster, rendering)) if truth is not None else {}
+    figures = {} if truth is None else _compared(*_alike(image, truth, raster, rendering))
     further = {}
     if job.pass_through:
         further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
@@ -351,7 +358,6 @@ def reconstruct(
 
     Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
     """
-    from spreadlets import metrics
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
@@ -372,7 +378,7 @@ def reconstruct(
     image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
-    figures = metrics.compare(image, truth) if truth is not None else {}
+    figures = _compared(image, truth)
     with clock.step("write"):
         images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)

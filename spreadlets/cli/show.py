@@ -23,6 +23,7 @@ def progress_bar(title: str, *, quiet: bool) -> Iterator[Callable[..., None]]:
     What is yielded takes the numbers of what is done and of all, and the seconds left, if the caller knows better than
     by counting.
     """
+    # The bar stays hidden until something is reported.
     shown: Any = click.progressbar(
         length=1,
         label=title,

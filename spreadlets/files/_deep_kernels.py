@@ -43,6 +43,7 @@ def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None
     attenuated by ``alpha / u``. The document merges two at a time, which gives the same in any order; of opaque samples
     it takes the mean of two, here of all.
     """
+    # Sum up the optical depths, and count what is opaque.
     n_opaque = 0
     total = 0.0
     for i in range(table.shape[0]):
@@ -51,10 +52,12 @@ def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None
                 n_opaque += 1
             else:
                 total += share[i] * density(table[i, ALPHA])
+    # Their sum gives the alpha; opaque samples hide the rest.
     alpha = 1.0 if n_opaque > 0 else -math.expm1(-total)
     attenuation = alpha / total if total > 0.0 else 1.0
     row[ALPHA:] = 0.0
     row[ALPHA] = alpha
+    # Add colours by their share of the light, labels by their share of the density.
     weight_sum = 0.0
     for i in range(table.shape[0]):
         if share[i] <= 0.0 or (n_opaque > 0 and table[i, ALPHA] < 1.0):
@@ -90,6 +93,7 @@ def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     int
         How many there are.
     """
+    # Between the bounds of all samples, none begins or ends.
     bounds = np.unique(np.concatenate((table[:, FRONT], table[:, BACK])))
     share = np.zeros(table.shape[0])
     count = 0

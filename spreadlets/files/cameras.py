@@ -225,6 +225,7 @@ def _starts_with(path: PathLike, magic: bytes) -> bool:
 
 def _read_object(path: Path) -> Mapping[str, object]:
     """Return the JSON object in a file of at most `MAX_CAMERA_BYTES`."""
+    # Read the file, if it is one and not too large.
     if path.exists() and not path.is_file():
         raise InvalidCameraError("the camera file cannot be read: it is not a regular file")
     try:
@@ -234,12 +235,14 @@ def _read_object(path: Path) -> Mapping[str, object]:
         raise InvalidCameraError(f"the camera file cannot be read: {error.strerror}") from error
     if len(text) > MAX_CAMERA_BYTES:
         raise InvalidCameraError(f"is larger than {MAX_CAMERA_BYTES} bytes: this is not a camera file")
+    # Parse it.
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InvalidCameraError(f"is not valid JSON: {error}") from error
     if not isinstance(content, dict):
         raise InvalidCameraError(f"holds a JSON {type(content).__name__}; a camera is an object with named values")
+    # Warn of what is not understood.
     unknown = sorted(content.keys() - {*NUMBER_KEYS, SHUTTER_KEY, *OPTIONAL_KEYS} - DESCRIPTIVE_KEYS)
     if unknown:
         warnings.warn(f"{path}: {_unknown_keys(unknown)}", AmbiguousInputWarning, stacklevel=4)
@@ -259,11 +262,13 @@ def _unknown_keys(names: list[str]) -> str:
 def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
     """Return the values of a camera that a parsed JSON object holds."""
     values: dict[str, Any] = {}
+    # Numbers; the focus may be a word for infinity.
     for key in (*NUMBER_KEYS, "sensor_height_mm"):
         if key in content:
             value = content[key]
             infinite = key == "focus_distance_m" and isinstance(value, str) and value.lower() in INFINITY_NAMES
             values[key] = math.inf if infinite else checked_number(key, value)
+    # The shutter, a pair of numbers.
     if SHUTTER_KEY in content:
         shutter = content[SHUTTER_KEY]
         if not isinstance(shutter, list) or len(shutter) != 2:
@@ -271,6 +276,7 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
         values["shutter"] = tuple(
             checked_number(f"shutter {name}", time) for name, time in zip(("open", "close"), shutter, strict=True)
         )
+    # What is chosen by name.
     if "lens_model" in content:
         values["lens_model"] = content["lens_model"]
     if "sensor_fit" in content:
@@ -366,18 +372,21 @@ def attribute_values(header: Mapping[str, Any], scene_scale: float = 1.0) -> dic
     dict
         By the names of `ThinLens`'s parameters; empty if there are none.
     """
+    # Find the attributes that name a value, and convert their units.
     lowered = {str(name).lower(): value for name, value in header.items()}
     raw: dict[str, Any] = {}
     for row in ATTRIBUTES:
         for name, value in lowered.items():
             if row.value not in raw and re.fullmatch(row.pattern, name) and (number := _number(value)) is not None:
                 raw[row.value] = number * (row.factor if row.factor != SCENE else abs(scene_scale))
+    # Take the sensor's width from whatever tells it.
     found = {name: raw[name] for name in (*NUMBER_KEYS, "sensor_height_mm") if raw.get(name, 0.0) > 0}
     if "film_width" in raw:
         inches = raw["film_width"] < SMALLEST_FILM_MM
         found.setdefault("sensor_width_mm", raw["film_width"] * (MM_PER_INCH if inches else 1))
     if "sensor_size" in raw:
         found.setdefault("sensor_width_mm", raw["sensor_size"])
+    # Turn angles into the shutter, and into what is missing of focal length and sensor.
     if "shutter_degrees" in raw:
         half = 0.5 * raw["shutter_degrees"] / DEGREES_PER_FRAME
         found["shutter"] = (-half, half)
@@ -434,6 +443,7 @@ def _usd_place(path: str) -> tuple[str | None, str | None]:
 
 def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
     """Return the values of a camera in a USD file."""
+    # Find the camera.
     try:
         from pxr import Tf, Usd, UsdGeom  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
@@ -447,6 +457,7 @@ def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
     except Tf.ErrorException as error:
         raise InvalidCameraError(f"is not a readable USD file ({str(error).splitlines()[0]})") from None
     camera = UsdGeom.Camera(_usd_prim(stage, prim_path, lambda prim: bool(prim.IsA(UsdGeom.Camera))))
+    # USD counts lengths of lens and sensor in tenths of the scene's unit; many files count them in millimetres.
     time = Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     mm = metres * USD_MM_PER_TENTH
@@ -458,6 +469,7 @@ def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
             stacklevel=4,
         )
         mm = 1.0
+    # Read the values; a shutter of no length, an f-number or a focus of 0 was not set.
     values: dict[str, Any] = {
         "focal_length_mm": camera.GetFocalLengthAttr().Get(time) * mm,
         "sensor_width_mm": width * mm,

@@ -419,15 +419,18 @@ def stored_motion(name: str, labels: Mapping[str, FloatArray], depth: FloatArray
     InvalidParameterError
         If the convention needs something that `scale` lacks, or a motion exceeds what integer codes can hold.
     """
+    # Unproject the motion into a velocity in space, if that is what is stored.
     convention = MOTION_CONVENTIONS[name]
     if convention.unit == "space":
         velocity = _unprojected(labels["motion"], depth, scale)
         return np.pad(velocity, ((0, 0), (0, 0), (0, convention.n_channels - velocity.shape[2])))
+    # Undo the signs and the order of the channels.
     unit = MOTION_UNITS[convention.unit]
     factors = _px_per_unit(name, depth.shape, scale)
     stacked = np.concatenate([labels[label] / factors for label in convention.rows], axis=2)
     inverse = np.linalg.inv(np.concatenate(list(convention.rows.values())))  # of a signed permutation: exact
     values = stacked @ inverse.T.astype(np.float32)
+    # Encode, if the range suffices.
     if unit.quantised and np.abs(values).max() > 1:
         longest = float(np.abs(stacked * np.tile(factors, len(convention.rows))).max())
         raise InvalidParameterError(

@@ -109,6 +109,7 @@ class DeepImage:
         >>> sp.DeepImage.merged([image, image]).counts.item()
         2
         """
+        # Check that all have one shape.
         first = images[0]
         for index, image in enumerate(images):
             if image.counts.shape != first.counts.shape:
@@ -118,8 +119,10 @@ class DeepImage:
                 )
         if len(images) == 1:
             return first
+        # Sort the samples by pixel; those of a pixel keep the images' order.
         pixel = np.concatenate([np.repeat(np.arange(image.counts.size), image.counts.ravel()) for image in images])
         order = np.argsort(pixel, kind="stable")
+        # Give motion to all samples, if any have it.
         moving = any(image.motion is not None for image in images)
         motions = [
             np.zeros((len(each.depth), 2), np.float32) if each.motion is None else each.motion for each in images
@@ -266,14 +269,17 @@ def layer_cuts(
     low, high = (float(inverse.min()), float(inverse.max())) if len(inverse) else (0.0, 0.0)
     if not high > low:
         return np.zeros(0)
+    # Divide inverse depth into bins, and price a cut by the seams that it leaves in surfaces.
     bins = np.minimum((inverse - low) / (high - low) * CUT_BINS, CUT_BINS - 1).astype(np.int64)
     seam = np.zeros(CUT_BINS + 1)
     seam_lengths(start, bins, width, seam)
     cost = SEAM_PRICE * np.cumsum(seam)
+    # List the neighbouring samples of each pixel, which a cut could part.
     pixel = np.repeat(np.arange(len(start) - 1), np.diff(start))
     together = pixel[1:] == pixel[:-1]
     near, far = bins[:-1][together], bins[1:][together]
     cuts: list[int] = []
+    # Cut where that parts the most of them for the price, as long as it gains anything.
     while len(cuts) < max_layers - 1:
         gain = np.bincount(far + 1, minlength=CUT_BINS + 1) - np.bincount(near + 1, minlength=CUT_BINS + 1)
         score = np.cumsum(gain) - cost
@@ -372,6 +378,7 @@ def deep_image(
     bad : int
         How many invalid samples were mended or dropped.
     """
+    # Gather colours, with alpha premultiplied.
     shape = display.height, display.width
     pixel = _display_pixels(part, data, display)
     shown = pixel >= 0
@@ -379,6 +386,7 @@ def deep_image(
     radiance = np.stack([*(part.channels[name] for name in names["colour"]), alpha], axis=1)
     if unpremultiplied:
         radiance[:, :3] *= radiance[:, 3:]
+    # Gather depths and motion in our conventions.
     (depth_name,) = names["depth"]
     ends = [
         to_planar(part.channels[name], pixel) for name in (depth_name, depth_name + "Back") if name in part.channels
@@ -390,6 +398,7 @@ def deep_image(
     motion = None
     if "motion" in names:
         motion = to_motion(np.stack([part.channels[name] for name in names["motion"]], axis=1))
+    # Mend bad labels; samples of bad colours are dropped.
     visible = shown & (radiance != 0).any(axis=1)
     bad: npt.NDArray[np.bool_] = np.zeros(len(depth), np.bool_)
     dropped = bad
@@ -400,6 +409,7 @@ def deep_image(
         motion = None if motion is None else np.where(np.isfinite(motion).all(axis=1, keepdims=True), motion, 0)
         radiance[:, 3] = np.clip(radiance[:, 3], 0, 1)
         dropped = np.asarray(~np.isfinite(radiance).all(axis=1))
+    # List what is left, pixel by pixel.
     kept = visible & ~dropped
     counts = np.bincount(pixel[kept], minlength=shape[0] * shape[1]).reshape(shape)
     labels = None if motion is None else motion[kept]

@@ -326,15 +326,18 @@ def find_colour(image: Image, options: ReadOptions, alpha_image: Image | None = 
 
 def _main_colour(image: Image, preset: str | None) -> tuple[str, tuple[str, ...], str]:
     """Return the main picture's prefix, its channels, and what is doubtful about the choice."""
+    # Plain channels of no layer come first,
     for names in COLOUR_SETS:
         for prefix, group in _groups(image, names):
             if prefix == "":
                 return prefix, group, ""
+    # then layers by the names that renderers give,
     for heading in (PRESETS[preset].colour, *COLOUR_NAMES) if preset else COLOUR_NAMES:
         groups = [found for names in COLOUR_SETS for found in _groups(image, [heading + name for name in names])]
         if groups:
             prefix, group, doubt = _chosen_colour(image, groups)
             return prefix + heading.lower(), group, doubt
+    # then a single channel of luminance.
     grey = [group for _, group in _groups(image, (GREY,)) if image.place(group[0]) == GREY]
     if not grey:
         found = ", ".join(sorted(image.names)) or "none"
@@ -350,9 +353,11 @@ def _chosen_colour(image: Image, groups: list[tuple[str, tuple[str, ...]]]) -> t
     """Return the main one of several pictures, or raise InvalidFileError."""
     if len(groups) == 1:
         return (*groups[0], "")
+    # A composite is what was meant to be seen.
     composite = [found for found in groups if found[0] == COMPOSITE]
     if len(composite) == 1:
         return (*composite[0], "")
+    # Of several view layers, take the first.
     groups = sorted(groups, key=lambda found: list(image.planes).index(found[1][0]))
     if all(_parent(image.place(group[0]).lower()).endswith(VIEW_LAYER) for _, group in groups):
         held = ", ".join(group[0].rpartition(".")[0] for _, group in groups)
@@ -361,6 +366,7 @@ def _chosen_colour(image: Image, groups: list[tuple[str, tuple[str, ...]]]) -> t
             "another, or for several as depth layers, nearest first"
         )
         return (*groups[0], doubt)
+    # Of several parts, take the plain picture of the first.
     first = [found for found in groups if image.planes[found[1][0]].part == 0]
     if image.n_parts > 1 and len(first) == 1 and "." not in image.planes[first[0][1][0]].bare:
         names = ", ".join(first[0][1])
@@ -368,6 +374,7 @@ def _chosen_colour(image: Image, groups: list[tuple[str, tuple[str, ...]]]) -> t
             *first[0],
             f"the picture is taken from the first part ({names}); say {option('colour_layer')} for others",
         )
+    # Anything else is for the user to decide.
     layers = ", ".join(prefix.rstrip(".") or group[0].rpartition(".")[0] for prefix, group in groups)
     raise image.problem(
         f"the colour channels are ambiguous ({layers}; several, with commas and nearest first, are depth layers)",
@@ -428,15 +435,18 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
     InvalidFileError
         If it is missing or ambiguous.
     """
+    # Take what the user says, or rank the candidates.
     if options.depth_channel is not None:
         return _given_depth(image, colour, options)
     ranked = _depth_candidates(image, colour, options)
+    # Without any, take the only channel of a pass, or tell what is missing.
     if not ranked:
         if alone:
             return Found(image, (_only_channel(image, "depth_channel"),), options.depth_convention or "planar")
         like = _like(image, DEPTH_LIKE, colour.names)
         hint = f" ({', '.join(like)} may be it)" if like else ""
         raise image.problem(f"lacks a depth channel{hint}", "depth_channel", "depth_file")
+    # Take the best; several must be equal.
     best = min(ranked)
     found = list({item.channels: item for rank, item in _items(ranked, best)}.values())
     if best[0] == ELSEWHERE and colour.prefixes[0].startswith(COMPOSITE):
@@ -444,6 +454,7 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
     if len(found) > 1 and not _all_equal(image, [item.channels[0] for item in found]):
         names = ", ".join(item.channels[0] for item in found)
         raise image.problem(f"has several depth channels ({names})", "depth_channel")
+    # Say what is doubtful about it.
     chosen = found[0]
     if options.depth_convention is not None:
         chosen = replace(chosen, convention=options.depth_convention, doubt="")
@@ -533,6 +544,7 @@ def depth_warning(name: str, found: Found, stored: FloatArray, seen: BoolArray, 
     """
     if told:
         return ""
+    # Look at what was seen.
     values = stored[np.isfinite(stored) & seen]
     if values.size == 0 or values.min() < 0:
         return ""
@@ -540,11 +552,13 @@ def depth_warning(name: str, found: Found, stored: FloatArray, seen: BoolArray, 
     spelled = option("depth_convention")
     remedy = f"say {spelled} inverse if it is 1 over the depth, planar if it is not"
     span = f"{values.min():.3g} to {values.max():.3g}"
+    # An inverse depth that is large would be nearer than a lens.
     if found.convention == "inverse" and np.median(values) > INVERSE_LIMIT:
         nearest = f"{1 / values.max():.3g} m"
         return f"{name}: {channel} holds {span}, taken for 1 over the depth: nearest {nearest}; {remedy}"
     if found.convention != "planar":
         return ""
+    # Zeros, and a wide range of small numbers, are what an inverse depth looks like.
     zeros = int(np.count_nonzero(values == 0))
     if 0 < zeros < values.size:
         return f"{name}: {channel} is 0 at {zeros} pixels, as where 1 over the depth of the background is; {remedy}"

@@ -153,6 +153,7 @@ def sequence_frames(
     InvalidParameterError
         If the output has no counter or would replace an input, or the frames cannot be parsed.
     """
+    # Find the numbers that are asked for, or that exist.
     patterns = [path for path in inputs if is_pattern(path)]
     if not is_pattern(output):
         raise InvalidParameterError(f"the output {output} needs a counter, such as ####, as the frames have one")
@@ -162,12 +163,14 @@ def sequence_frames(
         numbers = sorted(set().union(*(existing_frames(pattern) for pattern in patterns)))
         if not numbers:
             raise InvalidFileError(f"{patterns[0]}: no such frames exist")
+    # Leave out frames that lack a file, unless all do.
     lacking: set[int] = set()
     for path in [*inputs, *others]:
         missing = [number for number in numbers if not os.path.isfile(numbered(path, number))]
         lacking.update(missing)
         if len(lacking) == len(numbers):
             raise InvalidFileError(f"{path}: {len(missing)} frames are missing: {listed(missing)}")
+    # Refuse to replace an input.
     if os.path.realpath(numbered(output, numbers[0])) in {os.path.realpath(numbered(p, numbers[0])) for p in inputs}:
         raise InvalidParameterError(f"the output {output} would replace the frames that are read")
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers)) if frames is None else []

@@ -89,22 +89,27 @@ class Database:
         self.path = path
         self.grid = _read_grid(file)
         self.provenance: dict[str, Any] = read_text(file, "provenance")
+        # Read where the spreadlets of each cell begin, one for each pose.
         self.cell_start = read_starts(file, "cell_start", self.grid.n_cells, MAX_SPREADLETS, 1, MAX_POSES)
         if not np.array_equal(np.diff(self.cell_start), self.grid.pose_counts):
             raise InvalidDatabaseError(f"{path}: the angles stored for the cells are not those of the model's grid")
+        # Read where the points of each spreadlet begin, and its angle.
         n_spreadlets = int(self.cell_start[-1])
         self.point_start = read_starts(file, "point_start", n_spreadlets, MAX_POINTS, 0, MAX_POINTS_OF_ONE)
         self.angle = read_table(file, "direction", (n_spreadlets,), np.float64)
         expected = np.concatenate([self.grid.angles(cell) for cell in range(self.grid.n_cells)])
         if np.abs(self.angle - expected).max() > ANGLE_TOLERANCE:
             raise InvalidDatabaseError(f"{path}: the angles stored for the cells are not those of the model's grid")
+        # Read which are stored as pixels.
         direct = read_table(file, "direct", (n_spreadlets,), np.uint8)
         if direct.max() > 1:
             raise InvalidDatabaseError(f"{path}: dataset 'direct' holds {direct.max()}; allowed are 0 and 1")
         self.direct = direct.astype(bool)
+        # Check the points' tables; they are read when they are needed.
         n_points = int(self.point_start[-1])
         require(file, "offset_rc", (n_points, 2), np.int16)
         require(file, "value", (n_points, self.n_channels), np.float32)
+        # Read the numbers from which the cells are seeded, if the database was extended.
         self.seed_cell = np.arange(self.grid.n_cells)
         if "seed_cell" in file:
             self.seed_cell = read_table(file, "seed_cell", (self.grid.n_cells,), np.int64)
@@ -308,15 +313,18 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
 
 def _read_grid(file: h5py.File) -> PsfGrid:
     """Read the model and its cells; ranges are checked before anything is made as large as they say."""
+    # Read the model, and the sides and ends of its axes.
     shape = tuple(int(size) for size in np.atleast_1d(file.attrs["shape"]))
     model = get_model(text_attribute(file, "model"), settings=read_text(file, "settings"))
     ranges = np.stack([np.atleast_1d(file.attrs[name]) for name in ("maximum", "power", "floor")], axis=-1)
+    # Check them before anything is made as large as they say.
     if not len(shape) == len(ranges) == model.n_axes or not all(0 < size <= MAX_CELLS for size in shape):
         raise InvalidDatabaseError(f"{file.filename}: grid shape {shape} does not fit model {model.name!r}")
     if not (np.abs(ranges) <= MAX_RANGE).all():
         raise InvalidDatabaseError(f"{file.filename}: the axes end at {ranges[:, 0].tolist()}, beyond {MAX_RANGE:g}")
     if NestedGrid(shape).n_cells > MAX_CELLS:
         raise InvalidDatabaseError(f"{file.filename}: more than {MAX_CELLS} cells")
+    # Divide the axes into cells, and check the number of poses.
     axes = [
         replace(axis, maximum=float(maximum), power=float(power), floor=float(floor))
         for axis, (maximum, power, floor) in zip(model.axes, ranges, strict=True)

@@ -169,9 +169,11 @@ def _filters() -> dict[str, Any]:
 
 def _write_cells(file: h5py.File, n_channels: int, cells: Iterable[list[CellRecord]]) -> None:
     """Append the cells' points batch by batch; the small tables follow once all are known."""
+    # Make the tables of points, which grow.
     file.create_dataset("offset_rc", (0, 2), np.int16, maxshape=(None, 2), chunks=(CHUNK_POINTS, 2), **_filters())
     chunks = (CHUNK_POINTS, n_channels)
     file.create_dataset("value", (0, n_channels), np.float32, maxshape=(None, n_channels), chunks=chunks, **_filters())
+    # Append them, and collect what the small tables say of them.
     sizes: list[int] = []
     counts: list[int] = []
     figures: list[tuple[float, ...]] = []
@@ -185,6 +187,7 @@ def _write_cells(file: h5py.File, n_channels: int, cells: Iterable[list[CellReco
         records = [record for cell in batch for record in cell]
         _append(file["offset_rc"], np.concatenate([record.spreadlet.offset_rc for record in records]))
         _append(file["value"], np.concatenate([record.spreadlet.value for record in records]))
+    # Write the small tables.
     table = np.array(figures, dtype=np.float64)
     _write_table(file, "cell_start", _starts(sizes))
     _write_table(file, "point_start", _starts(counts))
@@ -239,6 +242,7 @@ def open_checked(path: Path) -> h5py.File:
     InvalidDatabaseError
         If it is no HDF5 file, or holds what a database does not.
     """
+    # Check the bytes before HDF5 interprets them.
     try:
         _check_bookkeeping(path)
         file = h5py.File(path, "r")
@@ -247,6 +251,7 @@ def open_checked(path: Path) -> h5py.File:
     except (OSError, RuntimeError, ValueError) as error:
         raise InvalidDatabaseError(f"{path}: not a readable HDF5 file (truncated or another format)") from error
     try:
+        # Check version, attributes, links and datasets.
         with refusing(path):
             _check_attributes(file)
             _check_version(file)

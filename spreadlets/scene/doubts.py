@@ -66,6 +66,7 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
     -------
     list of str
     """
+    # Does the sensor's shape fit the frame's?
     found = camera_doubts(camera.fitted(frame.raster.display.shape, frame.raster.pixel_aspect))
     height, width = frame.raster.display.shape
     sensor_height = camera.sensor_height_mm
@@ -75,6 +76,7 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
                 f"of the frame, {width} x {height} px, and the sensor, {camera.sensor_width_mm:g} x {sensor_height:g} "
                 f"mm, one is upright and the other not; the widths are taken to agree: say {option('sensor_fit')}"
             )
+    # Is the focus near the depths?
     ends = [_finite_range(layer) for layer in frame.layers]
     nearest, farthest = min((low for low, _ in ends), default=math.inf), max((high for _, high in ends), default=0.0)
     focus = camera.focus_distance_m
@@ -110,10 +112,12 @@ def layer_doubts(frame: Frame) -> list[str]:
     """
     found = []
     for index, (near, far) in enumerate(zip(frame.layers[:-1], frame.layers[1:], strict=True)):
+        # Does the layer hide all others?
         alpha, behind = near.radiance[..., 3], far.radiance[..., 3]
         if (alpha == 1).all():
             found.append(f"layer {index} is opaque everywhere and hides the layers behind it; layers are nearest first")
             continue
+        # Does it lie behind the next one where both are seen, or on the whole?
         shared = (alpha > 0) & (behind > 0)
         wrong = shared & (near.depth > np.float32(BEHIND) * far.depth)
         n_wrong, n_shared = int(np.count_nonzero(wrong)), int(np.count_nonzero(shared))
@@ -154,6 +158,7 @@ def sample_doubts(samples: SampleBuffer, camera: ThinLens) -> list[str]:
     lens, time = samples.lens_uv[samples.valid], samples.time[samples.valid]
     if not len(lens):
         return found
+    # Do the lens samples fill the unit disc?
     radius = float(np.hypot(lens[:, 0], lens[:, 1]).max())
     if radius > DISC_TOLERANCE:
         found.append(f"lens samples lie up to {radius:.3g} radii from the lens's centre; the disc ends at 1")
@@ -163,6 +168,7 @@ def sample_doubts(samples: SampleBuffer, camera: ThinLens) -> list[str]:
             f"lens samples lie on one side of the lens only (lens.{', lens.'.join(sides)}); they run from -1 to 1, not "
             "from 0 to 1"
         )
+    # Were the samples taken while the shutter is open?
     opens, closes = camera.shutter
     slack = 0.01 * max(closes - opens, 0.01)
     if time.min() < opens - slack or time.max() > closes + slack:

@@ -151,6 +151,7 @@ class Frame:
         frames = [_frame_from_item(index, item, repair) for index, item in enumerate(layers)]
         if not frames:
             raise InvalidFrameError("a frame needs at least one layer; none was given")
+        # Check that all are displayed alike.
         first = frames[0].raster
         for index, frame in enumerate(frames):
             if (frame.raster.display, frame.raster.pixel_aspect) != (first.display, first.pixel_aspect):
@@ -158,6 +159,7 @@ class Frame:
                     f"layer {index} is displayed as {_displayed(frame.raster)}, layer 0 as {_displayed(first)}; all "
                     "layers share one display window"
                 )
+        # Place them in the smallest window that holds all.
         window = functools.reduce(Window.union, (frame.raster.data for frame in frames))
         stored = functools.reduce(Window.union, (frame.raster.stored or frame.raster.data for frame in frames))
         shared = replace(first, data=window, stored=None if stored == window else stored)
@@ -349,6 +351,7 @@ def _converted_layer(
     raster: Raster | None,
 ) -> Layer:
     """Return a layer of contiguous float32 arrays whose shapes agree; the values are not looked at."""
+    # Refuse the codes of a picture.
     colour = image_array("radiance", radiance)
     codes = np.asarray(radiance).dtype
     if codes.kind == "u" and codes.itemsize <= 2:
@@ -356,12 +359,14 @@ def _converted_layer(
             f"radiance holds {8 * codes.itemsize}-bit integers, as a picture for display does; a frame holds linear "
             f"values: divide by {2 ** (8 * codes.itemsize) - 1} and undo the display's encoding"
         )
+    # Give colours an alpha.
     height, width = colour.shape[:2]
     raster = raster or Raster.of_shape((height, width))
     _check_raster(raster, (height, width))
     motion, motion_prev, motion_next = motions
     if colour.shape[2] == 3:
         colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
+    # Check that the labels fit, and that the curved motions come together.
     z = _label_array("depth", depth, (height, width))
     if (motion_prev is None) != (motion_next is None):
         lacking = "motion_prev" if motion_prev is None else "motion_next"
@@ -370,6 +375,7 @@ def _converted_layer(
     given = {
         name: _label_array(name, values, (height, width, 2)) for name, values in named.items() if values is not None
     }
+    # Take the mean of both for a motion that is not given.
     before, after = given.get("motion_prev"), given.get("motion_next")
     if "motion" not in given and before is not None and after is not None:
         with np.errstate(invalid="ignore"):  # infinities of both signs: found by the validation
@@ -417,15 +423,18 @@ def _label_array(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Fl
 
 def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int, int]:
     """Return the layer with clipped alpha and mended labels, and how many pixels were mended and how many dropped."""
+    # Find what is not finite or not allowed.
     problems = _problems(layer)
     if problems and not repair:
         raise InvalidFrameError(f"{problems[0].message()} (or {option('repair')}, which mends these pixels)")
     bad = (
         np.logical_or.reduce([problem.places for problem in problems]) if problems else np.zeros(layer.shape, np.bool_)
     )
+    # Background where the depth is no distance; colours from their neighbours.
     depth = replaced(layer.depth, ~(layer.depth > 0), BACKGROUND_DEPTH)
     radiance, dropped = _filled(layer.radiance, depth) if problems else (layer.radiance, 0)
     before, after = layer.motion_prev, layer.motion_next
+    # No motion where it is not finite.
     mended = replace(
         layer,
         radiance=_clipped(radiance, quiet=repair),
@@ -468,15 +477,18 @@ def _filled(radiance: FloatArray, depth: FloatArray) -> tuple[FloatArray, int]:
     inverse = np.pad(np.float32(1) / depth, 1)
     while not valid.all():
         shown, there = np.pad(radiance, ((1, 1), (1, 1), (0, 0))), np.pad(valid, 1)
+        # Find the bad pixels that have a valid neighbour.
         rows, cols = np.nonzero(~valid)
         steps = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
         around = np.stack([there[rows + row, cols + col] for row, col in steps])
         filled = around.any(axis=0)
         rows, cols, around = rows[filled], cols[filled], around[:, filled]
+        # Choose the neighbours nearest in depth.
         own = inverse[rows + 1, cols + 1]
         other = np.stack([inverse[rows + row, cols + col] for row, col in steps])
         apart = np.where(around, np.abs(other - own), np.inf)
         chosen = around & (apart <= apart.min(axis=0) + (LIKE_DEPTH - 1) * own)
+        # Fill in their mean.
         colours = np.stack([shown[rows + row, cols + col] for row, col in steps])
         weight = chosen[..., None].astype(np.float32)
         radiance[rows, cols] = np.where(weight > 0, colours, 0).sum(axis=0) / weight.sum(axis=0)

@@ -65,6 +65,7 @@ class Notebook:
 
 def conditions(quick: bool) -> dict[str, Any]:
     """Return what figures depend on: the machine, the versions, the source and the database."""
+    # Hash the source, except for the reports.
     root = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for package in PACKAGES:

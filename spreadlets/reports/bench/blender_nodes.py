@@ -43,6 +43,7 @@ def run_nodes(subject: Subject) -> npt.NDArray[np.float32]:
     InvalidFileError
         If Blender fails; the message holds the end of what it said.
     """
+    # Tell the nodes what the camera is, and how far its blur reaches.
     camera = subject.camera
     height, width = subject.frame.shape
     largest = np.abs(camera.coc_radius(subject.frame.layers[0].depth, width)).max()
@@ -55,6 +56,7 @@ def run_nodes(subject: Subject) -> npt.NDArray[np.float32]:
         "shutter": camera.shutter_duration,
         "size": [width, height],
     }
+    # Blur the frame in a process of its own: Blender does not share one.
     with tempfile.TemporaryDirectory() as folder:
         source, output = Path(folder) / "frame.exr", Path(folder) / "out.exr"
         write_frame(source, subject.frame, preset="blender")
@@ -64,6 +66,7 @@ def run_nodes(subject: Subject) -> npt.NDArray[np.float32]:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         if done.returncode or not output.exists():
             raise InvalidFileError(f"Blender's nodes failed: {(done.stderr or done.stdout).strip()[-300:]}")
+        # Read its image, and its own time.
         image = read_image(output).view(NodesImage)
         image.seconds = float(done.stdout.rsplit("seconds", 1)[1])
     return image
@@ -75,18 +78,21 @@ def main(frame: str, settings: str, output: str) -> None:
 
     import bpy
 
+    # Set the scene up, with a group of nodes for its compositor.
     given = json.loads(Path(settings).read_text())
     scene = bpy.context.scene
     _set_scene(scene, given, output)
     tree = bpy.data.node_groups.new("blur", "CompositorNodeTree")
     scene.compositing_node_group = tree
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    # Make the nodes: image, defocus, vector blur.
     image = tree.nodes.new("CompositorNodeImage")
     image.image = bpy.data.images.load(frame)
     defocus, blur = tree.nodes.new("CompositorNodeDefocus"), tree.nodes.new("CompositorNodeVecBlur")
     defocus.scene, defocus.use_zbuffer, defocus.f_stop = scene, True, given["f_stop"]
     defocus.blur_max, defocus.bokeh = given["blur_max"], "CIRCLE"
     blur.inputs["Shutter"].default_value = given["shutter"]
+    # Link them.
     end = tree.nodes.new("NodeGroupOutput")
     for source, target in (
         (image.outputs["Combined"], defocus.inputs["Image"]),
@@ -97,6 +103,7 @@ def main(frame: str, settings: str, output: str) -> None:
         (blur.outputs[0], end.inputs[0]),
     ):
         tree.links.new(source, target)
+    # Measure the compositor.
     begin = time.perf_counter()
     bpy.ops.render.render(write_still=True)
     print("seconds", time.perf_counter() - begin)

@@ -90,6 +90,7 @@ def contenders(subject: Subject, folder: Path, *, quick: bool) -> Iterator[Conte
 
 
 def _synthesis(subject: Subject, folder: Path, quick: bool) -> Iterator[Contender]:
+    # Ways to make an image: with spreadlets, or with all PSFs in full.
     def ours(frame: str, density: float = 1.0, **options: Any) -> Callable[[], Image]:
         def make() -> Image:
             database = subject.database(density, folder)
@@ -109,6 +110,7 @@ def _synthesis(subject: Subject, folder: Path, quick: bool) -> Iterator[Contende
     def of(source: str, method: str, knob: str, make: Callable[[], Image] | None, missing: str = "") -> Contender:
         return Contender("synthesis", source, method, knob, make, missing)
 
+    # Spreadlets at all their knobs.
     yield of(ONE_FRAME, "spreadlets", DEFAULT, ours("frame"))
     for knob, options in SYNTHESIS_KNOBS:
         if not quick or knob in QUICK_KNOBS:
@@ -116,26 +118,31 @@ def _synthesis(subject: Subject, folder: Path, quick: bool) -> Iterator[Contende
     if not quick:
         for density in DENSITIES:
             yield of(ONE_FRAME, "spreadlets", f"density {density:g}", ours("frame", density))
+    # PSFs in full: scattered, and gathered.
     for method in ("dense", "dense-rows"):
         if not quick or method == "dense":
             yield of(ONE_FRAME, method, DEFAULT, dense("frame", method))
             yield of(ONE_FRAME, method, "layers 1", dense("frame", method, layers=1))
     yield of(ONE_FRAME, "gather", DEFAULT, dense("frame", "gather"))
+    # The same of layers, where the subject has them.
     if subject.layer_files:
         yield of(LAYERED, "spreadlets", DEFAULT, ours("layered"))
         yield of(LAYERED, "spreadlets", "tolerance 0.016", ours("layered", tolerance=0.016))
         yield of(LAYERED, "dense", DEFAULT, dense("layered", "dense"))
         yield of(LAYERED, "gather", DEFAULT, dense("layered", "gather"))
+    # What a compositor has today.
     if not quick:
         missing = "" if find_spec("bpy") else "package bpy is not installed"
         yield of(ONE_FRAME, "blender nodes", DEFAULT, None if missing else lambda: run_nodes(subject), missing)
 
 
 def _reconstruction(subject: Subject, folder: Path, quick: bool) -> Iterator[Contender]:
+    # Take the first samples of each pixel.
     counts = [1] if quick else [count for count in SAMPLE_COUNTS if count <= subject.samples.n_samples]
     for count in counts:
         samples = subject.samples.take(count)
 
+        # Ways to make an image: PSFs in full, spreadlets, or a method that needs no database.
         def of(method: str, knob: str, samples: SampleBuffer = samples, **options: Any) -> Contender:
             def make() -> Image:
                 if method == "dense":
@@ -151,6 +158,7 @@ def _reconstruction(subject: Subject, folder: Path, quick: bool) -> Iterator[Con
             source = f"{samples.n_samples} spp"
             return Contender("reconstruction", source, method, knob, None if missing else make, missing)
 
+        # Spreadlets, at all their knobs for a single sample, and the others.
         yield of("spreadlets", DEFAULT)
         for knob, options in RECONSTRUCTION_KNOBS if count == 1 and not quick else ():
             yield of("spreadlets", knob, **options)

@@ -65,6 +65,7 @@ def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> Non
     """Draw one panel: points with the range of their times, the front, and the names of those on it."""
     label, drawn = AXES[metric]
     measured = [row for row in group if row.measured]
+    # Draw each method's points, with the range of their times.
     for number, method in enumerate(dict.fromkeys(row.method for row in measured)):
         mine = [row for row in measured if row.method == method]
         colour = OURS if method == "spreadlets" else COLOURS.get(method, OTHERS[number % len(OTHERS)])
@@ -73,6 +74,7 @@ def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> Non
         reach = [[a - b for a, b in zip(x, low, strict=True)], [b - a for a, b in zip(x, high, strict=True)]]
         marker = "o" if method == "spreadlets" else MARKERS[number % len(MARKERS)]
         axes.errorbar(x, y, xerr=reach, fmt=marker, color=colour, markersize=5, elinewidth=0.8, label=method)
+    # Draw the front.
     on = front(group, metric)
     ours = [row for row in measured if row.method == "spreadlets" and row.knob == "default"]
     axes.step(
@@ -83,6 +85,7 @@ def _draw_panel(axes: Any, group: Sequence[Row], metric: str, title: str) -> Non
         linewidth=0.9,
         zorder=0,
     )
+    # Scale the axes, and name the points.
     axes.set_xscale("log")
     if all(math.isfinite(drawn(getattr(row, metric))) and drawn(getattr(row, metric)) > 0 for row in measured):
         axes.set_yscale("log")

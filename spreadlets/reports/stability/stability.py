@@ -104,11 +104,13 @@ def run_stability(
     InvalidParameterError
         If no case fits, or the folder cannot be written to.
     """
+    # Find the cases, and a folder for their table, before any of them runs.
     chosen, output = selected_cases(only), Path(folder)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidParameterError(f"cannot write to {str(output)!r}: {error}") from error
+    # Run them; warnings are what they provoke.
     outcomes = []
     with open_database(DATABASE) as database, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -117,6 +119,7 @@ def run_stability(
             outcomes.append(run_case(case, lab))
             if progress:
                 progress(number + 1, len(chosen))
+    # Write the table, and count the verdicts.
     (output / "stability.txt").write_text("\n".join(text_lines(outcomes)) + "\n")
     _write_csv(output / "stability.csv", outcomes)
     counts = {name: sum(each.verdict == verdict for each in outcomes) for name, verdict in VERDICTS.items()}

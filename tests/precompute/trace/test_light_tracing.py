@@ -6,7 +6,7 @@ from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_similarity
-from spreadlets.precompute.models.registry import psf_footprint, trace_psf
+from spreadlets.precompute.models.registry import REGISTRY, psf_footprint, trace_psf
 from spreadlets.precompute.trace._tracing_kernels import deposit_segments
 from spreadlets.precompute.trace.line_sample import lens_chords, tent
 from spreadlets.psf.model import PsfGrid, PsfModel, get_model
@@ -240,3 +240,23 @@ def test_the_footprint_is_about_as_large_as_the_psf():
         pixels = psf_footprint(model, box, angle=0.0, angle_half_width=0.0, side=1)
         psf = trace_psf(model, box, rays=20_000)
         assert 0.5 * psf.size < pixels < 2.0 * psf.size
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("simplelens", {}),
+        ("simplelens", {"obstruction": 0.3}),
+        ("combined", {}),
+        ("combined", {"blades": 6, "shutter_curve": [0.0, 1.0, 0.2], "spherical_aberration": 0.4}),
+        ("physicallens", {}),
+    ],
+)
+@pytest.mark.parametrize("side", [1, -1])
+def test_no_segment_leaves_the_square_that_its_tracer_names(name, options, side):
+    model = get_model(name, settings=REGISTRY[name].read_settings(**options))
+    tracer = REGISTRY[name].tracer(model, side)
+    box = np.array(sharp(*(0.4 * axis.maximum for axis in model.axes)))
+    points = np.random.default_rng(5).random((4000, tracer.n_dimensions))
+    farthest = np.abs(tracer.trace(points, box, 0.0, 0.0).ends).max()
+    assert 0.75 * tracer.reach(box) < farthest <= tracer.reach(box) * (1.0 + 1e-12)

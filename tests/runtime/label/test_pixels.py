@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+import spreadlets as sp
 from spreadlets.runtime.label._label_kernels import path_places
+from spreadlets.runtime.label.pixels import frame_pixels
 
 
 def place(before, after, time):
@@ -41,3 +43,45 @@ def test_paths_lead_through_the_places_before_and_after(before, after):
 
 def test_a_stop_is_a_parabola():
     np.testing.assert_allclose(place((4.0, 0.0), (0.0, 0.0), -0.5), [-0.5 * 2 - 0.5 * 0.25 * 4, 0.0], atol=1e-6)
+
+
+def turning_frame():
+    """A disc that turns before a floor: curved paths, and edges that show both."""
+    rows, cols = np.indices((40, 1100)) - np.array([20, 550])[:, None, None]
+    disc = np.hypot(rows, cols) < 15
+    depth = np.where(disc, np.float32(2.0), np.float32(9.0))
+    turn = np.stack([-rows, cols], axis=-1) * disc[..., None]
+    before = (turn + 0.8 * turn[..., ::-1] * [1, -1]).astype(np.float32)
+    after = (turn - 0.8 * turn[..., ::-1] * [1, -1]).astype(np.float32)
+    colour = np.where(disc[..., None], [0.9, 0.5, 0.1], [0.1, 0.2, 0.6])
+    return sp.Frame(colour, depth, motion_prev=before, motion_next=after)
+
+
+CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=1, focus_distance_m=3.0, shutter=(-0.5, 0.5))
+
+
+def test_what_a_frame_and_its_list_draw_of_a_pixel_adds_up_to_its_colour():
+    layer = turning_frame().layers[0]
+    base, extra = frame_pixels(layer, CAMERA, defocus=True, motion=True)
+    assert not base.is_list and extra.is_list and base.curved.any()
+    total = base.radiance * base.weight[..., None]
+    at = extra.labels.view.places.at
+    np.add.at(total, (at[..., 0], at[..., 1]), extra.radiance * extra.weight[..., None])
+    assert np.abs(total - layer.radiance).max() < 1e-5
+    share = base.weight.copy()
+    np.add.at(share, (at[..., 0], at[..., 1]), extra.weight)
+    assert np.abs(share - 1.0).max() < 1e-6
+
+
+def test_pixels_of_a_list_have_the_place_of_the_frame_s():
+    base, extra = frame_pixels(turning_frame().layers[0], CAMERA, defocus=True, motion=True)
+    at = extra.labels.view.places.at
+    for place in ("position", "block_position"):
+        whole = getattr(base.labels.view, place)()
+        assert np.array_equal(getattr(extra.labels.view, place)(), whole[at[..., 0], at[..., 1]])
+
+
+def test_a_still_frame_in_one_depth_has_no_list():
+    frame = sp.Frame(np.full((16, 16, 3), 0.5), np.full((16, 16), 4.0))
+    (only,) = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
+    assert not only.is_list and not len(only.weight)

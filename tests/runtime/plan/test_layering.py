@@ -18,6 +18,7 @@ from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
 from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, share_beyond
 from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.label.pixels import Pixels
 from spreadlets.runtime.plan import layering
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.scene.camera import ThinLens
@@ -173,7 +174,10 @@ SHARP = Moments(0.0, 0.0, 0.0, (0.0, 0.0))
 
 def beyond(members, number, moments=SHARP, alpha=1.0, weight=NOTHING):
     radiance = np.full((*members.layer.shape, 4), alpha, np.float32)
-    return share_beyond([(members, (radiance, weight))], number, moments)
+    nothing = np.zeros(members.layer.shape, np.float32)
+    view = View(nothing, 1.0, 1.0)
+    labels = Labels(nothing, np.zeros((*nothing.shape, 2), np.float32), nothing, None, view)
+    return share_beyond([(members, Pixels(radiance, labels, weight))], number, moments)
 
 
 @pytest.mark.interpreted

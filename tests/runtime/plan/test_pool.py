@@ -52,8 +52,8 @@ def naive(samples):
 
 
 def pooled(samples):
-    placed = [place_pixels(*each[:4], WIDE, each[4]) for each in samples]
-    return list(pool(placed, REACHES, N_LAYERS))
+    placed = [place_pixels(*each[:4], None, WIDE, each[4]) for each in samples]
+    return list(pool(placed, (H, W), REACHES, N_LAYERS))
 
 
 def as_dict(splats):
@@ -120,3 +120,22 @@ def test_no_weights_are_weights_of_one():
     assert np.array_equal(
         pooled([(radiance, np.zeros((0, 0), np.float32), label, shift, colours)])[0].radiance, plain.radiance
     )
+
+
+@pytest.mark.parametrize("border", [False, True])
+def test_a_list_of_pixels_is_drawn_as_the_frame_s_pixels_are(border):
+    """In whatever order, and whatever shape the list has."""
+    rng = np.random.default_rng(9)
+    radiance, weight, label, shift, colours = make_samples(rng, border=border)
+    order = rng.permutation(H * W)
+    at = np.stack(np.divmod(order, W), axis=-1).astype(np.int32).reshape(2, -1, 2)
+    radiance, weight, label, shift = (
+        each.reshape(H * W, *each.shape[2:])[order].reshape(2, -1, *each.shape[2:])
+        for each in (radiance, weight, label, shift)
+    )
+    listed = place_pixels(radiance, weight, label, shift, at, WIDE, colours)
+    found = as_dict(pool([listed], (H, W), REACHES, N_LAYERS))
+    wanted = naive([make_samples(np.random.default_rng(9), border=border)])
+    assert found.keys() == wanted.keys()
+    for key, colour in wanted.items():
+        np.testing.assert_allclose(found[key], colour, rtol=1e-5, atol=1e-6)

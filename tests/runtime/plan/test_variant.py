@@ -1,10 +1,12 @@
 """Points of PSF variants: what is taken off a spike, and what is left."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from spreadlets.psf.laplacian import laplacian, solve_dirichlet
-from spreadlets.runtime.plan.variant import split_spike
+from spreadlets.runtime.plan.variant import SHARP, Variant, split_spike, variant_points
 
 HALF = 12
 
@@ -50,3 +52,10 @@ def test_psfs_without_a_spike_are_left_as_they_are():
         assert rest is points and not taken.any()
     offset_rc, value, _ = points_of(halo((0.6, 0.6, 0.6)))
     assert not split_spike((offset_rc, value, True))[1].any()
+
+
+def test_points_of_a_variant_are_sorted_by_row(small_combined):
+    cells = range(0, small_combined.n_cells, 3)
+    turned = [Variant(cell, 0, *turn, 1.5) for cell in cells for turn in product((False, True), repeat=3)]
+    for (offset_rc, value, _), _ in variant_points([SHARP, *turned], small_combined, None):
+        assert (np.diff(offset_rc[:, 0]) >= 0).all() and len(value) == len(offset_rc)

@@ -4,6 +4,7 @@ from naive.splat import splat_naive
 from threads import for_thread_counts
 
 from spreadlets.runtime.label.labels import NO_SHIFT
+from spreadlets.runtime.splat._splat_kernels import RUN_ROW
 from spreadlets.runtime.splat.passes import PointTable, SplatPass, canvas_of, find_runs
 from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian
 
@@ -149,3 +150,21 @@ def test_the_canvas_holds_every_splat_and_no_more():
     assert (canvas.top, canvas.rows) == (4 - 6, 13)
     assert canvas.left % 4 == canvas.cols % 4 == 0 and canvas.left <= 0 and canvas.left + canvas.cols >= 13
     assert canvas_of([runs], (1,), table, 1) is None
+
+
+@pytest.mark.parametrize("col", range(4))
+@pytest.mark.parametrize("width", range(1, 5))
+def test_canvases_begin_and_end_at_blocks_of_every_stride(col, width):
+    table = PointTable(np.zeros((1, 2), np.int32), np.ones((1, 1), np.float32), np.array([0, 1]), np.zeros(1, bool))
+    label = np.full((1, 12), -1, np.int32)
+    label[0, col : col + width] = 0
+    canvas = canvas_of([find_runs(SplatPass((0, 4), np.ones((1, 12, 4), np.float32), label), table, 1)], (0,), table, 1)
+    assert canvas.left % 4 == canvas.cols % 4 == 0
+
+
+@pytest.mark.parametrize("shift", [0, 3])
+def test_runs_of_a_group_are_sorted_by_row(shift):
+    rng = np.random.default_rng(12)
+    runs = find_runs(random_pass(rng, shift=shift), random_table(rng, 1), N_LAYERS)
+    assert all((np.diff(runs.of(group)[:, RUN_ROW]) >= 0).all() for group in (*SPARSE, *DIRECT))
+    assert len(runs.runs) > 50
