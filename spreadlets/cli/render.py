@@ -165,8 +165,10 @@ def synth(
         sys.exit(EXIT_FAILURE)
 
 
-def _compared(image: Image, truth: Image) -> dict[str, float]:
-    """Return the errors of an image."""
+def _compared(image: Image, truth: Image | None) -> dict[str, float]:
+    """Return the errors of an image, if there is a reference."""
+    if truth is None:
+        return {}
     from spreadlets import metrics
 
     return metrics.compare(image, truth)
@@ -199,7 +201,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
-    figures = {} if truth is None else _compared(*_alike(image, truth, raster, rendering))
+    figures = _compared(*_alike(image, truth, raster, rendering))
     further = {}
     if job.pass_through:
         further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
@@ -220,8 +222,10 @@ def _bokeh(shape: Mapping[str, Any], motion: bool, frame: Any) -> Any:
     return bokeh_model(moving=motion and any(layer.has_motion for layer in frame.layers), **shape)
 
 
-def _alike(image: Any, truth: Any, raster: Any, rendering: Mapping[str, Any]) -> tuple[Any, Any]:
+def _alike(image: Image, truth: Image | None, raster: Any, rendering: Mapping[str, Any]) -> tuple[Image, Image | None]:
     """Return an image and its reference as the same pixels: those displayed, or of the region, at the proxy's size."""
+    if truth is None:
+        return image, None
     from spreadlets.scene.parts import means
     from spreadlets.scene.raster import placed
 
