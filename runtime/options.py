@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, TypedDict
 
-from spreadlets.errors import InvalidParameterError
+from spreadlets.arrays import FloatArray
+from spreadlets.errors import InvalidParameterError, option
+from spreadlets.runtime.controls import Controls
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
 """Sparse Laplacian splatting; the same PSFs drawn in full, pixel by pixel or as differences along rows; filtering with
@@ -26,6 +29,12 @@ RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS,
 SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp", "denoise", "calibrate")
 """Options that mean nothing to methods that do not splat."""
 
+FRAME_OPTIONS = "near_strength far_strength in_focus max_coc highlights focus_at mask region proxy vignetting".split()
+"""Options that mean nothing to samples, which hold their lens already."""
+
+LEAST_PROXY = 1 / 64
+"""Smallest proxy, as a share of the frame's size."""
+
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 DEFAULT_LAYERS = 4
@@ -40,7 +49,7 @@ SAMPLE_CLAMP = 32.0
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Controls):
     """How to render.
 
     Attributes
@@ -70,6 +79,16 @@ class Options:
         One of `METHODS`.
     vignetting : bool
         Whether to darken the image towards its corners as the lens of a database of ``physicallens`` does.
+    near_strength, far_strength, in_focus, max_coc, highlights
+        What is changed in the lens's blur, see `spreadlets.runtime.controls.Controls`.
+    focus_at : tuple of float or None
+        Place (x, y), px, whose depth the camera is focused at.
+    mask : ndarray of shape (H, W), float32, or None
+        What is kept sharp and held out of the blur, from 0 to 1.
+    region : tuple of int or None
+        ``(x, y, width, height)`` of the part of the picture that is made, px of the whole frame.
+    proxy : float
+        Size of the picture, as a share of the frame's.
 
     Raises
     ------
@@ -89,8 +108,13 @@ class Options:
     calibrate: bool = True
     method: str = "spreadlets"
     vignetting: bool = False
+    focus_at: tuple[float, float] | None = None
+    mask: FloatArray | None = field(default=None, compare=False)
+    region: tuple[int, int, int, int] | None = None
+    proxy: float = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_method(self.method, METHODS)
         if self.integrator not in INTEGRATORS:
             raise InvalidParameterError(
@@ -108,6 +132,14 @@ class Options:
             raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, inf for off")
         if self.denoise is not None and self.denoise not in DENOISERS:
             raise InvalidParameterError(f"denoise is {self.denoise!r}: allowed are {', '.join(DENOISERS)}, or none")
+        if not LEAST_PROXY <= self.proxy <= 1.0:
+            raise InvalidParameterError(f"{option('proxy')} is {self.proxy}: allowed are 1/64 to 1, the whole size")
+        if self.region is not None and not (len(self.region) == 4 and min(self.region[2:]) >= 1):
+            raise InvalidParameterError(
+                f"{option('region')} is {self.region}: needed are x, y, width and height, the last two at least 1"
+            )
+        if self.focus_at is not None and not (len(self.focus_at) == 2 and all(map(math.isfinite, self.focus_at))):
+            raise InvalidParameterError(f"{option('focus_at')} is {self.focus_at}: needed are x and y in px")
 
     @classmethod
     def of(cls, **given: Any) -> Options:
@@ -135,6 +167,15 @@ class RenderOptions(TypedDict, total=False):
     calibrate: bool
     method: str
     vignetting: bool
+    near_strength: float | None
+    far_strength: float | None
+    in_focus: tuple[float, float] | None
+    max_coc: float | None
+    highlights: tuple[float, float] | None
+    focus_at: tuple[float, float] | None
+    mask: FloatArray | None
+    region: tuple[int, int, int, int] | None
+    proxy: float | None
 
 
 RENDER_OPTIONS = tuple(field.name for field in fields(Options))
@@ -145,3 +186,10 @@ def check_method(method: str, allowed: Sequence[str]) -> None:
     """Raise InvalidParameterError if a method is not one of those that are allowed."""
     if method not in allowed:
         raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")
+
+
+def check_for_samples(options: Mapping[str, Any]) -> None:
+    """Raise InvalidParameterError if an option is given that means nothing to samples."""
+    for name in FRAME_OPTIONS:
+        if options.get(name) not in (None, getattr(Options, name)):
+            raise InvalidParameterError(f"{option(name)} is for frames: samples hold their lens already")

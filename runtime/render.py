@@ -22,7 +22,8 @@ from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
+from spreadlets.runtime.label.pixels import Split, frame_pixels, sample_pixels
+from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
@@ -50,6 +51,7 @@ def synthesize(
     clock: Clock | None = None,
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
+    split: Split = split_surfaces,
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -68,6 +70,8 @@ def synthesize(
         Where methods that draw PSFs in full take them from.
     exact_psf : ExactPsf, optional
         What makes the PSFs of highlights, at their own coordinates; without it they are drawn as all other pixels.
+    split : callable, optional
+        What divides mixed pixels between their surfaces.
 
     Returns
     -------
@@ -84,18 +88,20 @@ def synthesize(
     options, clock = options or Options(), clock or Clock()
     raster, frame = frame.raster, squared(frame)
     _warn_about_view(database, camera, frame.raster.display.width)
-    effects = {"defocus": options.defocus, "motion": options.motion, "swept": database.grid.model.has_motion}
+    label = partial(
+        frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options, split=split
+    )
     tally = Tally()
     with clock.step("plan"):
         shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
     if options.method == "gather":
-        image = _filtered(shown, camera, database, options, clock, tally, dense_psf)
+        image = _filtered(shown, camera, database, options, clock, tally, dense_psf, label)
         return _finished(image, frame.raster, raster, camera, database, options), Report.of(
             clock, plan_figures(tally, database)
         )
     image = np.zeros((*frame.shape, 4), np.float32)
     with clock.step("plan"):
-        given = [frame_pixels(layer, camera, **effects) for layer in shown]
+        given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
     is_whole = len(given) > 1
     if is_whole and options.layers is not None:
         given = [[pixels for group in given for pixels in group]]
@@ -279,13 +285,14 @@ def _filtered(
     clock: Clock,
     tally: Tally,
     dense_psf: DensePsf | None,
+    label: Callable[[Layer], list[Pixels]],
 ) -> Image:
     """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
         with clock.step("plan"):
             straight = replace(layer, motion_prev=None, motion_next=None)
-            moved = frame_pixels(straight, camera, defocus=options.defocus, motion=options.motion)
+            moved = label(straight)
             # A filter has no place to move light to.
             pixel_sets = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
             plan = plan_pixels(pixel_sets, database, options, 1, border=False, dense_psf=dense_psf)
@@ -293,7 +300,8 @@ def _filtered(
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)
             if plan.sources:
-                filtered = gather(plan.sources[0][0]._replace(radiance=layer.radiance), plan.table)
+                light = options.light(layer.radiance, moved[0].labels.coc)
+                filtered = gather(plan.sources[0][0]._replace(radiance=light), plan.table)
         with clock.step("composite"):
             add_layer(image, filtered, (0, 0), COVERAGE)
         tally.add_plan(plan, 1)

@@ -16,8 +16,10 @@ from .files.images import write_image as write_image
 from .files.images import write_png as write_png
 from .files.recognise import ReadOptions as ReadOptions
 from .files.tlfr import write_tlfr as write_tlfr
+from .photograph.photograph import photo as photo
 from .psf.database import Database as Database
 from .psf.database import open_database as open_database
+from .renderer import Renderer as Renderer
 from .scene.camera import LensKey as LensKey
 from .scene.camera import ThinLens as ThinLens
 from .scene.frame import Frame as Frame

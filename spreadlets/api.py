@@ -6,26 +6,23 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
-
-import numpy as np
-import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError
+from spreadlets.full_psfs import DensePsfs as DensePsfs
+from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model, option_names
 from spreadlets.psf.database import Database, open_database
-from spreadlets.psf.database_file import refusing
+from spreadlets.renderer import Renderer, default_database
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.doubts import frame_doubts, sample_doubts
+from spreadlets.scene.doubts import sample_doubts
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
 
 if TYPE_CHECKING:
-    from spreadlets.psf.exact import ExactPsf
     from spreadlets.runtime.clock import Clock
-    from spreadlets.runtime.options import Options, RenderOptions
+    from spreadlets.runtime.options import RenderOptions
     from spreadlets.runtime.report import Report
 
 
@@ -33,7 +30,7 @@ if TYPE_CHECKING:
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = ...,
+    database: Database | Model | str | None = ...,
     *,
     report: Literal[False] = ...,
     clock: Clock | None = ...,
@@ -45,7 +42,7 @@ def synthesize(
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = ...,
+    database: Database | Model | str | None = ...,
     *,
     report: Literal[True],
     clock: Clock | None = ...,
@@ -56,7 +53,7 @@ def synthesize(
 def synthesize(
     frame: Frame | Sequence[Frame],
     camera: ThinLens,
-    database: Database | str | None = None,
+    database: Database | Model | str | None = None,
     *,
     report: bool = False,
     clock: Clock | None = None,
@@ -70,9 +67,10 @@ def synthesize(
         A pinhole frame, or depth layers, nearest first.
     camera : ThinLens
         Lens and shutter.
-    database : Database or str, optional
+    database : Database, Model or str, optional
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
-        ``"simplelens"``.
+        ``"simplelens"``. For a model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built,
+        and kept in this user's cache.
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
@@ -99,6 +97,22 @@ def synthesize(
         infinity for any.
     defocus, motion : bool
         Whether to apply each effect.
+    focus_at : tuple of float, optional
+        Focus on what lies at this pixel (x, y).
+    in_focus : tuple of float, optional
+        ``(near, far)``: keep these depths sharp, metres.
+    near_strength, far_strength : float
+        Factors of the blur in front of and behind what is in focus.
+    max_coc : float, optional
+        Largest radius of the circle of confusion, px.
+    highlights : tuple of float, optional
+        ``(gain, threshold)``: multiply the light of blurred pixels above the threshold.
+    mask : array_like of shape (H, W), optional
+        Keep sharp, and out of the blur, where it is 1; of a frame of one layer.
+    region : tuple of int, optional
+        ``(x, y, width, height)`` of the part of the picture to return, px.
+    proxy : float
+        Return a smaller picture of this share of the size.
     clock : Clock, optional
         Adds the times of the steps to those that the caller has already taken.
 
@@ -138,16 +152,8 @@ def synthesize(
     >>> report.plan.cells_total, "motion" in report.plan.left_out
     (100, True)
     """
-    from spreadlets.runtime import render
-    from spreadlets.runtime.options import Options
-
-    chosen = Options.of(**options)
-    layered = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
-    camera = camera.fitted(layered.raster.display.shape, layered.raster.pixel_aspect)
-    _warn(frame_doubts(layered, camera))
-    moving = chosen.motion and any(layer.has_motion for layer in layered.layers)
-    with _opened(database, moving) as opened:
-        image, figures = render.synthesize(layered, camera, opened, chosen, clock, *_psfs(opened, chosen))
+    with Renderer(frame, database) as renderer:
+        image, figures = renderer.render(camera, report=True, clock=clock, **options)
     return (image, figures) if report else image
 
 
@@ -246,10 +252,18 @@ def reconstruct(
     True
     """
     from spreadlets.runtime import render
-    from spreadlets.runtime.options import LAYERED_METHODS, METHODS, RECONSTRUCTION_METHODS, Options, check_method
+    from spreadlets.runtime.options import (
+        LAYERED_METHODS,
+        METHODS,
+        RECONSTRUCTION_METHODS,
+        Options,
+        check_for_samples,
+        check_method,
+    )
 
     method = options.get("method", "spreadlets")
     check_method(method, RECONSTRUCTION_METHODS)
+    check_for_samples(options)
     _warn(sample_doubts(samples, camera))
     camera = camera.fitted(samples.shape)
     if settings and method not in LAYERED_METHODS:
@@ -259,7 +273,7 @@ def reconstruct(
         return (image, figures) if report else image
     chosen = Options.of(**options)
     with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
-        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, *_psfs(opened, chosen))
+        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, *full_psfs(opened, chosen))
     return (image, figures) if report else image
 
 
@@ -325,15 +339,6 @@ def _warn(doubts: Sequence[str]) -> None:
         warnings.warn(doubt, AmbiguousInputWarning, stacklevel=3)
 
 
-def _psfs(opened: Database, options: Options) -> tuple[DensePsfs | None, ExactPsf | None]:
-    """Return where methods that draw PSFs in full take them from, and what makes the PSFs of highlights."""
-    from spreadlets.precompute.models.registry import exact_psf
-
-    dense_psfs = DensePsfs(opened, by_rows=options.method == "dense-rows") if options.draws_in_full else None
-    with refusing(opened.path):  # the model's settings are the file's
-        return dense_psfs, exact_psf(opened.grid.model)
-
-
 @contextmanager
 def _opened(database: Database | str | None, moving: bool) -> Iterator[Database]:
     """Open a database for the block, unless it is open."""
@@ -342,11 +347,6 @@ def _opened(database: Database | str | None, moving: bool) -> Iterator[Database]
         return
     with open_database(database or default_database(moving)) as opened:
         yield opened
-
-
-def default_database(moving: bool) -> str:
-    """Return the name of the database for a frame that moves, or not."""
-    return "combined" if moving else "simplelens"
 
 
 def build_database(
@@ -413,26 +413,3 @@ def verify_database(database: Database, **options: Any) -> dict[str, Any]:
     from spreadlets.precompute.build.verification import verify_database as verify
 
     return verify(database, **options)
-
-
-@dataclass(frozen=True)
-class DensePsfs:
-    """The full PSFs of a database's cells, traced as its build did; see `runtime.plan.variant.DensePsf`."""
-
-    database: Database
-    by_rows: bool = False
-
-    def __call__(self, cell: int, pose: int, scale: float) -> npt.NDArray[np.float64]:
-        """Return the PSF of a cell and pose, its parameters times a scale, as an array (h, w, C)."""
-        from spreadlets.precompute.models.registry import trace_psf
-
-        grid = self.database.grid
-        stretch = np.array([[scale if axis.scales else 1.0] for axis in grid.model.axes])
-        with refusing(self.database.path):  # the model's settings are the file's
-            return trace_psf(
-                grid.model,
-                grid.box(cell) * stretch,
-                angle=float(self.database.angles(cell)[pose]),
-                angle_half_width=grid.angle_half_width(cell),
-                side=grid.side(cell, pose),
-            )

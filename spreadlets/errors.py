@@ -27,6 +27,20 @@ class InvalidDatabaseError(SpreadletsError):
     """A spreadlet database is truncated, malformed, or of another version."""
 
 
+class LeftOutError(InvalidDatabaseError):
+    """Spreadlets are needed that were left out of a database, which was built for certain frames only.
+
+    Attributes
+    ----------
+    places : list of (int, int)
+        Their cells and poses.
+    """
+
+    def __init__(self, message: str, places: list[tuple[int, int]]) -> None:
+        super().__init__(message)
+        self.places = places
+
+
 class InvalidParameterError(SpreadletsError):
     """An option or argument is out of its allowed range, or names something unknown."""
 

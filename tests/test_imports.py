@@ -14,7 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays", "version"},
-    {"compiled", "parallel", "packages"},
+    {"compiled", "parallel", "packages", "remembered", "runtime.controls"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},
@@ -23,8 +23,10 @@ ORDER = (
     {"precompute.build", "runtime.composite", "runtime.report"},
     {"runtime.finish"},
     {"runtime.render", "runtime.sheared"},
+    {"full_psfs", "bokeh"},
+    {"renderer"},
     {"api"},
-    {"reports", "warmup"},
+    {"reports", "warmup", "view", "photograph"},
     {"cli"},
 )
 """The order of the tree, stated once: what stands in a row may import only from rows above it."""

@@ -51,6 +51,7 @@ def build_database(
     extend: bool = False,
     progress: Progress | None = None,
     log: str | os.PathLike[str] | None = None,
+    judge: bool = True,
     **options: Any,
 ) -> None:
     """Build a database of spreadlets; an interrupted build goes on where it stopped when called again.
@@ -89,6 +90,8 @@ def build_database(
     log : path, optional
         A line for each finished cell, with an estimate of what is left, is added to this file; by default to one in
         the folder of parts, which goes with it.
+    judge : bool
+        Record how well PSFs between the cells are drawn, see `precompute.build.between_cells`; takes some seconds.
     options
         Those of the model, see `spreadlets.models`; None stands for the model's own value.
 
@@ -132,7 +135,8 @@ def build_database(
         shown = _compute_missing(tasks, parts, jobs, scheduler, log or parts.folder / LOG_NAME, progress)
         # Record the provenance, and what is drawn between the cells.
         provenance = {"seed": seed, "parameters": _parameters(grid, density, sparsifier, rays)} | _versions()
-        provenance["between_cells"] = between_cells(grid, _finder(tasks, parts, kept), rays)
+        if judge:
+            provenance["between_cells"] = between_cells(grid, _finder(tasks, parts, kept), rays)
         provenance["build_s"] = time.perf_counter() - begin + kept.build_s
         # Assemble the database from the parts.
         cells = (_cell(task, parts, kept) for task in tasks)

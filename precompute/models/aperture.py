@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,7 @@ class Aperture:
         radius = np.hypot(u, v)
         room = 1.0 - radius**2
         if self.blades:
-            room = np.minimum(room, 1.0 - radius / self._edge(np.arctan2(v, u)))
+            room = np.minimum(room, 1.0 - self._share_of_edge(u, v, radius))
         if self.cats_eye:
             angle = math.radians(self.cats_eye_angle)
             x, y = u - self.cats_eye * math.cos(angle), v - self.cats_eye * math.sin(angle)
@@ -125,12 +126,19 @@ class Aperture:
             room = np.minimum(room, radius**2 - self.obstruction**2)
         return np.asarray(room)
 
-    def _edge(self, angle: DoubleArray) -> DoubleArray:
-        """Return the radius of the blades' edge in a direction."""
+    def _share_of_edge(self, u: DoubleArray, v: DoubleArray, radius: DoubleArray) -> DoubleArray:
+        """Return how far places lie towards the blades' edge, 1 at the edge."""
         sector = 2.0 * math.pi / self.blades
-        from_middle = np.mod(angle - math.radians(self.rotation), sector) - 0.5 * sector
-        straight = math.cos(0.5 * sector) / np.cos(from_middle)
-        return np.asarray((1.0 - self.blade_curvature) * straight + self.blade_curvature)
+        middles = math.radians(self.rotation) + sector * (np.arange(self.blades) + 0.5)
+        # Of straight edges that is the largest distance along a blade's normal.
+        straight = np.full(u.shape, -np.inf)
+        for x, y in zip(np.cos(middles), np.sin(middles), strict=True):
+            np.maximum(straight, x * u + y * v, out=straight)
+        straight /= math.cos(0.5 * sector)
+        if not self.blade_curvature:
+            return straight
+        edge = (1.0 - self.blade_curvature) * radius / np.maximum(straight, np.finfo(np.float64).tiny)
+        return np.asarray(radius / (edge + self.blade_curvature))
 
     def image(self, u: DoubleArray, v: DoubleArray, side: int) -> tuple[DoubleArray, DoubleArray]:
         """Return where rays through places on the lens land, in units of the CoC radius."""
@@ -206,7 +214,7 @@ def shutter_times(u: DoubleArray, curve: Sequence[float] | None) -> DoubleArray:
 
 def tracer(model: PsfModel, side: int) -> Tracer:
     """Return what traces a model with an aperture of its own behind (1) or in front (-1) of the focus."""
-    aperture = Aperture(**model.settings["aperture"])
+    aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
     curve = model.settings["shutter_curve"]
     moves = model.has_direction
 
@@ -237,10 +245,17 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     )
 
 
+@lru_cache(maxsize=16)
+def _stored_aperture(shape: tuple[tuple[str, Any], ...]) -> Aperture:
+    """Return the aperture of a model's settings; a build asks for the same one for each PSF."""
+    return Aperture(**dict(shape))
+
+
 def _symmetriser(model: PsfModel) -> Any:
     """Return the average over the symmetries that aperture and shutter leave."""
     symmetry = model.symmetry
     if symmetry.lattice and not model.has_direction:
         return lattice_symmetric
-    even = Aperture(**model.settings["aperture"]).is_point_symmetric and not symmetry.arrow
+    shape = tuple(model.settings["aperture"].items())
+    even = _stored_aperture(shape).is_point_symmetric and not symmetry.arrow
     return point_symmetric if even else unchanged

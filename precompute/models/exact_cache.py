@@ -41,10 +41,15 @@ class CachedPsfs:
             known = {key: self._kept[key] for key in keys if key in self._kept}
         missing = [key for key in dict.fromkeys(keys) if key not in known]
         known |= zip(missing, for_each(lambda key: direct_points(self._make(*key)), missing), strict=True)
-        self._keep(known)
+        self.keep(known)
         return (known[key] for key in keys)
 
-    def _keep(self, psfs: dict[Key, Spreadlet]) -> None:
+    def known(self) -> dict[Key, Spreadlet]:
+        """Return the PSFs that are kept."""
+        with self._lock:
+            return dict(self._kept)
+
+    def keep(self, psfs: dict[Key, Spreadlet]) -> None:
         """Keep PSFs, and let the oldest go."""
         with self._lock:
             for key, psf in psfs.items():

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.label.lists import Pixels, listed
@@ -35,12 +36,17 @@ PLACE_STEP_SHARE = 0.25
 """Distance, in CoC radii and at least a pixel, of the places at which a PSF that does not move is drawn on its way."""
 
 
+AS_IT_IS = Controls()
+"""The lens without any change."""
+
+
 class Effects(NamedTuple):
-    """What is drawn: the defocus, the motion; and whether PSFs are swept along paths."""
+    """What is drawn: the defocus, the motion; whether PSFs are swept along paths; how the lens is changed."""
 
     defocus: bool
     motion: bool
     swept: bool
+    controls: Controls = AS_IT_IS
 
 
 def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> Iterator[Pixels]:
@@ -91,7 +97,7 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
         for_bands(_label_kernels.count_segments, len(count), layer.motion_prev, layer.motion_next, *limits, count)
     radius = np.abs(pixels.labels.coc)
     if refocuses:
-        count = np.maximum(count, _power_of_two(_coc_range(layer, pixels, camera) / _coc_step(radius)))
+        count = np.maximum(count, _power_of_two(_coc_range(layer, camera, effects.controls) / _coc_step(radius)))
     if moves and not effects.swept:
         opens, closes = (_places(layer, time) for time in camera.shutter)
         way = np.hypot(*np.moveaxis(closes - opens, 2, 0))
@@ -103,10 +109,10 @@ def _coc_step(radius: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.float32(COC_STEP_SHARE) * radius, np.float32(COC_STEP_PX)), np.float32)
 
 
-def _coc_range(layer: Layer, pixels: Pixels, camera: ThinLens) -> FloatArray:
+def _coc_range(layer: Layer, camera: ThinLens, controls: Controls) -> FloatArray:
     """Return by how much each pixel's CoC radius changes while the shutter is open, px."""
     keyed = [key.time for key in camera.keys if camera.shutter[0] < key.time < camera.shutter[1]]
-    found = [_coc(layer, pixels.labels, camera, time) for time in (*camera.shutter, camera.shutter_centre, *keyed)]
+    found = [_coc(layer, camera, controls, time) for time in (*camera.shutter, camera.shutter_centre, *keyed)]
     return np.asarray(np.max(found, axis=0) - np.min(found, axis=0), np.float32)
 
 
@@ -121,7 +127,7 @@ def _labels_in_time(layer: Layer, labels: Labels, camera: ThinLens, effects: Eff
     times = np.linspace(*camera.shutter, count + 1)
     for opens, closes in zip(times[:-1], times[1:], strict=True):
         middle = 0.5 * (opens + closes)
-        coc = _coc(layer, labels, camera, middle) if effects.defocus else labels.coc
+        coc = _coc(layer, camera, effects.controls, middle) if effects.defocus else labels.coc
         if not effects.motion:
             yield labels._replace(coc=coc)
             continue
@@ -135,15 +141,18 @@ def _labels_in_time(layer: Layer, labels: Labels, camera: ThinLens, effects: Eff
         yield rolled(layer, labels._replace(coc=coc, path=path, length=length, shift=shift), camera)
 
 
-def _coc(layer: Layer, labels: Labels, camera: ThinLens, time: float) -> FloatArray:
+def _coc(layer: Layer, camera: ThinLens, controls: Controls, time: float) -> FloatArray:
     """Return the signed CoC radii of pixels at a time, px."""
-    lens, depth = camera.at(time), layer.depth
-    if layer.depth_prev is not None and layer.depth_next is not None:
-        depth = _depth(layer, time)
-    coc = np.empty_like(labels.coc)
-    optics = lens.coc_scale(layer.raster.display.width), 1.0 / lens.focus_distance_m
-    for_bands(_label_kernels.coc_radii, len(coc), depth, *optics, coc)
-    return coc
+    depth = layer.depth if layer.depth_prev is None else _depth(layer, time)
+    return coc_radii(depth, camera.at(time), controls, layer.raster.display.width)
+
+
+def coc_radii(depth: FloatArray, camera: ThinLens, controls: Controls, width: int) -> FloatArray:
+    """Return the signed CoC radii (H, W), px, of depths (H, W) in an image of a width, px."""
+    coc = np.empty_like(depth)
+    scale = camera.coc_scale(width)
+    for_bands(_label_kernels.coc_radii, len(coc), depth, scale, 1.0 / camera.focus_distance_m, coc)
+    return controls.coc(coc, depth, scale) if controls.change_coc else coc
 
 
 def _depth(layer: Layer, time: float) -> FloatArray:

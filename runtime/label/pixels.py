@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.label.lists import Pixels, joined, listed
-from spreadlets.runtime.label.moving import Effects, in_time, rolled, zoomed
-from spreadlets.runtime.label.surfaces import split_surfaces
+from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled, zoomed
+from spreadlets.runtime.label.surfaces import Surface, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.samples import SampleBuffer
 
+Split = Callable[[Layer, ThinLens], Iterable[Surface]]
+"""Divides the mixed pixels of a layer between their surfaces."""
 
-def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool, swept: bool = True) -> list[Pixels]:
+
+def frame_pixels(
+    layer: Layer,
+    camera: ThinLens,
+    *,
+    defocus: bool,
+    motion: bool,
+    swept: bool = True,
+    controls: Controls = AS_IT_IS,
+    split: Split = split_surfaces,
+) -> list[Pixels]:
     """Turn a frame's depth and motion vectors into labels; an effect that is off has parameter 0.
 
     First come all pixels of the frame, then a list of what some of them need beside: further surfaces of those that
@@ -30,13 +45,18 @@ def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool,
         Which effects are drawn.
     swept : bool
         Whether PSFs are swept along straight paths; if not, what moves is drawn at places along its way.
+    controls : Controls
+        How the lens is changed.
+    split : callable
+        Divides mixed pixels between their surfaces.
     """
-    effects, middle = Effects(defocus, motion, swept), camera.at(camera.shutter_centre)
+    effects, middle = Effects(defocus, motion, swept, controls), camera.at(camera.shutter_centre)
     layer = zoomed(layer, camera) if motion and camera.keys else layer
     found: list[Pixels] = []
     blurred = defocus or (motion and layer.has_motion)
-    for surface, share in split_surfaces(layer, middle) if blurred else ((layer, None),):
-        pixels = Pixels(surface.radiance, _straight_labels(surface, middle, defocus=defocus, motion=motion))
+    for surface, share in split(layer, middle) if blurred else ((layer, None),):
+        labels = _straight_labels(surface, middle, controls, defocus=defocus, motion=motion)
+        pixels = Pixels(controls.light(surface.radiance, labels.coc), labels)
         if share is not None:
             pixels = pixels._replace(weight=share)
         if found:
@@ -46,7 +66,7 @@ def frame_pixels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool,
     return [found[0], joined(lists)] if lists else found
 
 
-def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: bool) -> Labels:
+def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool) -> Labels:
     height, width = layer.shape
     coc, length = np.zeros((2, height, width), np.float32)
     shown = layer.raster.display.width
@@ -55,8 +75,7 @@ def _straight_labels(layer: Layer, camera: ThinLens, *, defocus: bool, motion: b
         layer.depth, camera.focal_length_mm / camera.sensor_width_mm * shown, mm_per_px, layer.raster.off_middle
     )
     if defocus:
-        optics = camera.coc_scale(shown), 1.0 / camera.focus_distance_m
-        for_bands(_label_kernels.coc_radii, height, layer.depth, *optics, coc)
+        coc = coc_radii(layer.depth, camera, controls, shown)
     if not motion or not layer.has_motion:
         return Labels(coc, np.zeros((height, width, 2), np.float32), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None

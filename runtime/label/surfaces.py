@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,16 @@ from spreadlets.scene.frame import Layer
 
 LEAST_GAP = 1.0
 """Difference of CoC radii, px, from which two surfaces are worth telling apart."""
+SCALES_PER_OCTAVE = 2
+"""Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
+MOST_KEPT_PIXELS = 1 << 24
+"""Labelled pixels that are kept for the next camera, some 50 bytes each."""
+
+Surface = tuple[Layer, Image | None]
+"""A layer that holds one surface of every pixel, and its share of the pixels."""
 
 
-def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Image | None]]:
+def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     """Yield layers that each hold one surface of every pixel, with its share of the pixel.
 
     Colours are filtered: a pixel at an edge, or with a thin thing in it, shows several surfaces, while it has one depth
@@ -72,9 +81,42 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[tuple[Layer, Imag
 def _places(layer: Layer, camera: ThinLens) -> Image:
     """Return where surfaces lie in depth, as CoC radii, px."""
     place = np.empty(layer.shape, np.float32)
-    optics = camera.coc_scale(layer.raster.display.width), 1.0 / camera.focus_distance_m
-    for_bands(_label_kernels.coc_radii, len(place), layer.depth, *optics, place)
+    for_bands(_label_kernels.coc_radii, len(place), layer.depth, _scale(layer, camera), 0.0, place)
     return place
+
+
+def _scale(layer: Layer, camera: ThinLens) -> float:
+    """Return the CoC of an inverse depth, px metres, rounded up to one of `SCALES_PER_OCTAVE`."""
+    scale = camera.coc_scale(layer.raster.display.width)
+    return float(np.exp2(np.ceil(SCALES_PER_OCTAVE * np.log2(scale)) / SCALES_PER_OCTAVE))
+
+
+class KeptSurfaces:
+    """Splits layers as `split_surfaces` does, and keeps what it found: focus and shutter do not change it.
+
+    It may be used from several threads.
+    """
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
+        self._lock = Lock()
+
+    def __call__(self, layer: Layer, camera: ThinLens) -> Sequence[Surface]:
+        """Return the surfaces of a layer, see `split_surfaces`."""
+        key = id(layer), _scale(layer, camera)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key][1]
+        found = list(split_surfaces(layer, camera))
+        with self._lock:
+            # The layer is kept as long as its number stands for it.
+            self._kept[key] = layer, found
+            n_pixels = [len(surfaces) * each.depth.size for each, surfaces in self._kept.values()]
+            while len(self._kept) > 1 and sum(n_pixels) > MOST_KEPT_PIXELS:
+                self._kept.popitem(last=False)
+                n_pixels.pop(0)
+        return found
 
 
 def depth_is_filtered(place: Image) -> bool:

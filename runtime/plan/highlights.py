@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading_steps, longest_step
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import HEADINGS
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
@@ -214,11 +216,11 @@ class _Light(NamedTuple):
 
 def _lights(pixel_sets: Sequence[Pixels], stochastic: bool) -> list[_Light]:
     """Return what the colours of each set say; sets often share them, and lists stand out from a frame."""
-    colours = {id(pixels.radiance): pixels.radiance for pixels in pixel_sets if not pixels.is_list}
-    found = {key: _light(radiance, stochastic) for key, radiance in colours.items()}
+    look = _light_of_samples if stochastic else _light_of_pixels
+    found = [look(pixels.radiance if pixels.frame is None else pixels.frame) for pixels in pixel_sets]
     return [
-        _listed_light(pixels, found[id(pixels.frame)]) if pixels.is_list else found[id(pixels.radiance)]
-        for pixels in pixel_sets
+        _listed_light(pixels, light) if pixels.is_list else light
+        for pixels, light in zip(pixel_sets, found, strict=True)
     ]
 
 
@@ -250,6 +252,10 @@ def _brightest(radiance: Image) -> FloatArray:
     light = np.empty(radiance.shape[:2], np.float32)
     for_bands(_highlight_kernels.brightest, len(light), radiance, light)
     return light
+
+
+_light_of_pixels = Remembered(partial(_light, stochastic=False))
+_light_of_samples = Remembered(partial(_light, stochastic=True))
 
 
 def _from_sources(

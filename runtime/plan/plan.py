@@ -15,6 +15,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.pixels import frame_pixels
@@ -27,7 +28,7 @@ from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
-from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, split_spike, variant_points
+from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -225,8 +226,8 @@ def _choose(
     variants = [_decode(int(each), database.cell_start) for each in used]
     # Give highlights PSFs of their own, and collect the points of all.
     highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
-    points = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
-    points, spikes = (list(each) for each in zip(*map(split_spike, points), strict=True)) if points else ([], [])
+    parts = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
+    points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     variation = _variation(variants, spikes, table, database)
     return _Choice(indices, variants, highlights, table, spike_of, variation)
@@ -391,10 +392,10 @@ def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int
 
 def _border_colours(pixel_sets: Sequence[Pixels]) -> list[Colours]:
     """Return the colours beyond the border of each set; sets often share their colours."""
-    shown = [pixels.radiance if pixels.frame is None else pixels.frame for pixels in pixel_sets]
-    found = {id(radiance): radiance for radiance in shown}
-    colours = {key: border_colours(radiance) for key, radiance in found.items()}
-    return [colours[id(radiance)] for radiance in shown]
+    return [_colours_beyond(pixels.radiance if pixels.frame is None else pixels.frame) for pixels in pixel_sets]
+
+
+_colours_beyond = Remembered(border_colours)
 
 
 def _all_parts(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator
+from threading import Lock
 from typing import NamedTuple, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +32,9 @@ class DensePsf(Protocol):
 MIN_ROW_STEP = 2e-3
 """A row of a PSF counts as constant while it stays within this share of the peak: a traced disc is not quite even."""
 
+MOST_KEPT_POINTS = 1 << 22
+"""Points of variants that are kept for each database, 50 to 80 MB."""
+
 SPIKE_SHARE = 0.01
 """A spike that holds less than this share of a channel's light is left where it is."""
 
@@ -48,23 +54,59 @@ SHARP = Variant(-1, 0, False, False, False, 1.0)
 """The PSF that stays within its pixel: of no cell, a single direct point. It sorts first among a plan's variants."""
 
 
-def variant_points(variants: list[Variant], database: Database, dense_psf: DensePsf | None) -> Iterator[Points]:
-    """Yield each variant's points: offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether direct."""
+def variant_points(
+    variants: list[Variant], database: Database, dense_psf: DensePsf | None
+) -> Iterator[tuple[Points, npt.NDArray[np.float32]]]:
+    """Yield each variant's points without its spike, and the spike.
+
+    Points are offsets int32 (n, 2) sorted by row, values float32 (n, C), and whether they are direct.
+    """
     stored = [each for each in variants if each != SHARP]
     if len(stored) < len(variants):
-        yield np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True
+        yield split_spike((np.zeros((1, 2), np.int32), np.ones((1, database.n_channels), np.float32), True))
     if dense_psf is not None:
-        yield from (_dense_variant(each, dense_psf) for each in stored)
+        yield from (split_spike(_dense_variant(each, dense_psf)) for each in stored)
         return
-    spreadlets = database.spreadlets([(each.cell, each.pose) for each in stored])
-    for each, spreadlet in zip(stored, spreadlets, strict=True):
-        wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
-        yield _turned(wide, each)
+    yield from _KEPT.setdefault(database, _KeptPoints())(stored, database)
 
 
-def own_points(psf: Spreadlet) -> Points:
-    """Return the points of a PSF that is drawn as it is: direct, and its rows ascending."""
-    return psf.offset_rc.astype(np.int32), psf.value, True
+class _KeptPoints:
+    """The points of a database's variants, kept for the next camera; it may be used from several threads."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[Variant, tuple[Points, npt.NDArray[np.float32]]] = OrderedDict()
+        self._count = 0
+        self._lock = Lock()
+
+    def __call__(self, variants: list[Variant], database: Database) -> list[tuple[Points, npt.NDArray[np.float32]]]:
+        """Return the points of variants, and their spikes."""
+        with self._lock:
+            found = {each: self._known[each] for each in variants if each in self._known}
+        missing = [each for each in variants if each not in found]
+        spreadlets = database.spreadlets([(each.cell, each.pose) for each in missing])
+        for each, spreadlet in zip(missing, spreadlets, strict=True):
+            wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
+            found[each] = split_spike(_turned(wide, each))
+        self._keep(found)
+        return [found[each] for each in variants]
+
+    def _keep(self, found: dict[Variant, tuple[Points, npt.NDArray[np.float32]]]) -> None:
+        """Keep points; those that have not been asked for the longest go first."""
+        with self._lock:
+            for variant, points in found.items():
+                self._count += 0 if variant in self._known else len(points[0][1])
+                self._known[variant] = points
+                self._known.move_to_end(variant)
+            while self._count > MOST_KEPT_POINTS:
+                self._count -= len(self._known.popitem(last=False)[1][0][1])
+
+
+_KEPT: WeakKeyDictionary[Database, _KeptPoints] = WeakKeyDictionary()
+
+
+def own_points(psf: Spreadlet) -> tuple[Points, npt.NDArray[np.float32]]:
+    """Return the points of a PSF that is drawn as it is: direct, its rows ascending, and without a spike."""
+    return split_spike((psf.offset_rc.astype(np.int32), psf.value, True))
 
 
 def _turned(spreadlet: Spreadlet, variant: Variant) -> Points:

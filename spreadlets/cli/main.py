@@ -10,7 +10,7 @@ from typing import Any
 import click
 import cloup
 
-from spreadlets.cli import databases, render, reports, setup
+from spreadlets.cli import databases, photo, render, reports, setup, view
 from spreadlets.cli.options import spelled
 from spreadlets.cli.status import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_INTERRUPTED
 from spreadlets.errors import BuildStoppedError, SpreadletsError, options_spelled
@@ -26,7 +26,8 @@ def cli() -> None:
     """
 
 
-cli.section("Make images", render.synth, render.reconstruct)
+cli.section("Make images", render.synth, render.reconstruct, photo.photo)
+cli.section("Look", view.view)
 cli.section("Databases and files", databases.build, databases.info)
 cli.section("Set up", setup.warmup)
 cli.section("Judge", reports.compare, reports.demo, reports.bench, reports.stability, render.tune)

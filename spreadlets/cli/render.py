@@ -8,12 +8,14 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import click
 import cloup
 
 from spreadlets.arrays import Image
+from spreadlets.cli.controls import bokeh_options, control_options, take_bokeh
 from spreadlets.cli.options import (
     TableChoice,
     camera_of,
@@ -43,6 +45,7 @@ class _Job(NamedTuple):
     rendering: dict[str, Any]
     also: Sequence[str] = ()
     pass_through: bool = False
+    output_coc: str | None = None
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
@@ -52,9 +55,14 @@ class _Job(NamedTuple):
         database = self.rendering["database"]
         passes = [value for name, value in self.reading.items() if name.endswith("_file")]
         others = (self.camera, self.reference, *passes, database if isinstance(database, str) else None)
+        if self.output_coc and image_extension(self.output_coc) != OPENEXR:
+            raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
+        if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
+            raise click.UsageError("--pass-through copies channels of the whole frame: leave --proxy and --region out")
         if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
             raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
-        check_outputs([self.output], [*self.frames, *filter(None, others)])
+        outputs = [self.output, *filter(None, [self.output_coc])]
+        check_outputs(outputs, [*self.frames, *filter(None, (*others, self.rendering.get("mask")))])
 
 
 @cloup.command()
@@ -63,8 +71,11 @@ class _Job(NamedTuple):
     "The image to write: .exr, or for viewing .png, .jpg or .tif.",
     cloup.option("--also", metavar="NAME,...", help="Blur these further colour layers of the file, too."),
     cloup.option("--pass-through", is_flag=True, help="Copy all other channels of the file unchanged."),
+    cloup.option("--output-coc", type=click.Path(dir_okay=False), help="Write the signed CoC radii, px (.exr)."),
 )
 @camera_options
+@control_options
+@bokeh_options
 @cloup.option_group(
     "Method",
     cloup.option(
@@ -97,6 +108,7 @@ def synth(
     overwrite: bool,
     also: str | None,
     pass_through: bool,
+    output_coc: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -113,11 +125,15 @@ def synth(
 
     reading, lens = take_reading(options), take_camera(options)
     rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
+    shape, motion = take_bokeh(options, rendering["database"]), rendering["motion"]
+    database = rendering["database"]
+    if shape:
+        rendering["database"] = partial(_bokeh, shape, motion)
     layers = tuple(name.strip() for name in also.split(",")) if also else ()
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through)
+        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc)
         job.check()
         print_figures(_synthesise(job), as_json)
         return
@@ -126,18 +142,20 @@ def synth(
         def make(number: int, path: str) -> dict[str, Any]:
             inputs = [numbered(item, number) for item in frames]
             truth = numbered(reference, number) if reference else None
-            name, motion = rendering["database"], rendering["motion"]
-            chosen = rendering | {"database": lambda frame: choose(name, frame, motion)}
+            name, mask = rendering["database"], rendering["mask"]
+            chosen = rendering | {"mask": numbered(mask, number) if mask else None}
+            chosen["database"] = name if shape else lambda frame: choose(name, frame, motion)
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
-            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through)
+            radii = numbered(output_coc, number) if output_coc else None
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
         passes = [value for key, value in reading.items() if key.endswith("_file") and value]
-        others = [each for each in (camera, reference, *passes) if each]
-        reads = [*frames, *others, *([rendering["database"]] if rendering["database"] else [])]
+        others = [each for each in (camera, reference, rendering["mask"], *passes) if each]
+        reads = [*frames, *others, *(each for each in (database, shape.get("kernel")) if each)]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
@@ -158,13 +176,13 @@ def _compared(image: Image, truth: Image | None) -> dict[str, float]:
 
 def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
-    from spreadlets.api import synthesize
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
+    from spreadlets.files.pictures import read_plane
     from spreadlets.files.recognise import ReadOptions
+    from spreadlets.renderer import Renderer
     from spreadlets.runtime.clock import Clock
-    from spreadlets.scene.raster import placed
 
     clock = Clock()
     with clock.step("read"):
@@ -172,22 +190,48 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         options = ReadOptions(**job.reading, camera=camera)
         frame = exr.read_frame(list(job.frames), options=options)
         truth = exr.read_reference(job.reference, options) if job.reference else None
-    database = job.rendering["database"]
-    rendering = job.rendering | {"database": database(frame) if callable(database) else database}
-    image, report = synthesize(frame, camera, **rendering, report=True, clock=clock)
+    rendering = dict(job.rendering)
+    database = rendering.pop("database")
+    chosen = database(frame) if callable(database) else database
+    if rendering.get("mask"):
+        rendering["mask"] = read_plane(rendering["mask"])
+    with progress_bar("building", quiet=False) as progress, Renderer(frame, chosen, progress=progress) as renderer:
+        image, report = renderer.render(camera, **rendering, report=True, clock=clock)
+        raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
-    shown = placed(image, frame.raster.data, frame.raster.display)
-    figures = _compared(shown, truth)
+    figures = _compared(*_alike(image, truth, raster, rendering))
     further = {}
     if job.pass_through:
         further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
     for name, element in with_colours(job.frames, frame, job.also, options.view):
-        further |= named_channels(name, synthesize(element, camera, **rendering, clock=clock))
+        with Renderer(element, chosen) as renderer:
+            further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):
-        images.write_image(job.output, image, raster=frame.raster, channels=further)
+        images.write_image(job.output, image, raster=raster, channels=further)
+        if job.output_coc is not None and coc is not None:
+            images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
+
+
+def _bokeh(shape: Mapping[str, Any], motion: bool, frame: Any) -> Any:
+    """Return the model of an aperture for a frame."""
+    from spreadlets.bokeh import bokeh_model
+
+    return bokeh_model(moving=motion and any(layer.has_motion for layer in frame.layers), **shape)
+
+
+def _alike(image: Image, truth: Image | None, raster: Any, rendering: Mapping[str, Any]) -> tuple[Image, Image | None]:
+    """Return an image and its reference as the same pixels: those displayed, or of the region, at the proxy's size."""
+    if truth is None:
+        return image, None
+    from spreadlets.scene.parts import means
+    from spreadlets.scene.raster import placed
+
+    window = raster.data if rendering.get("region") else raster.display
+    truth = means(truth, raster.display.shape) if rendering.get("proxy") else truth
+    return placed(image, raster.data, window), placed(truth, raster.display, window)
 
 
 def _chosen(
@@ -239,8 +283,8 @@ def _outcome(entry: Mapping[str, Any]) -> str:
 @contextmanager
 def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     """Give a function that returns an open database for a frame; each is opened once."""
-    from spreadlets.api import default_database
     from spreadlets.psf.database import Database, open_database
+    from spreadlets.renderer import default_database
 
     opened: dict[str, Database] = {}
 

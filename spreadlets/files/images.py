@@ -121,6 +121,31 @@ def write_image(
         carry_attributes(temporary, [raster.attributes])
 
 
+def write_plane(path: PathLike, name: str, values: FloatArray, *, raster: Raster | None = None) -> None:
+    """Write one channel of 32-bit floats as OpenEXR; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Where to write; an existing file is replaced.
+    name : str
+        Of the channel.
+    values : ndarray of shape (H, W), float32
+    raster : Raster, optional
+        Where the pixels lie.
+
+    Raises
+    ------
+    InvalidFileError
+        If the file cannot be written.
+    """
+    raster = raster or Raster.of_shape((values.shape[0], values.shape[1]))
+    header = {**part_header(), "dataWindow": _box(raster.data), "displayWindow": _box(raster.display)}
+    header |= {"pixelAspectRatio": float(raster.pixel_aspect)}
+    with atomic_path(path, OPENEXR) as temporary, library_messages():
+        OpenEXR.File(header, {name: np.ascontiguousarray(values, np.float32)}).write(str(temporary))
+
+
 def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
     """Write an image as an 8-bit sRGB PNG for viewing, whatever its name; the file appears whole or not at all.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray
-from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
+from spreadlets.errors import InvalidDatabaseError, InvalidParameterError, LeftOutError
 from spreadlets.psf.database_file import (
     MAX_CELLS,
     MAX_OFFSET,
@@ -165,9 +166,10 @@ class Database:
         absent = np.flatnonzero(self.point_start[index] == self.point_start[index + 1])
         if len(absent):
             cell, pose = cells[int(absent[0])]
-            raise InvalidDatabaseError(
+            raise LeftOutError(
                 f"{self.path}: pose {pose} of cell {cell} and {len(absent) - 1} more that are needed were "
-                "left out of this database, which was built for certain frames only"
+                "left out of this database, which was built for certain frames only",
+                [cells[int(each)] for each in absent],
             )
         found: dict[int, Spreadlet] = {}
         for first, last in self._stretches(np.unique(index)):
@@ -208,9 +210,12 @@ class Database:
         InvalidDatabaseError
             If they cannot be read, or are not finite.
         """
+        return {name: self._statistics[:, column] for column, name in enumerate(STATISTICS)}
+
+    @cached_property
+    def _statistics(self) -> FloatArray:
         with refusing(self.path):
-            table = read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
-        return {name: table[:, column] for column, name in enumerate(STATISTICS)}
+            return read_table(self._file, "statistics", (self.n_spreadlets, len(STATISTICS)), np.float32)
 
     def summary(self) -> dict[str, Any]:
         """Return what ``spreadlets info`` prints: model, counts, size, quality figures and provenance.

@@ -27,3 +27,23 @@ def display_encode(image: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     linear = np.clip(values.astype(dtype, copy=False), 0, 1)
     curved = 1.055 * np.power(linear, 1 / 2.4) - 0.055
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), dtype=dtype)
+
+
+def display_decode(encoded: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Return linear values of what is in sRGB encoding, 0 to 1.
+
+    Parameters
+    ----------
+    encoded : array_like of any shape
+
+    Returns
+    -------
+    ndarray of the same shape, float32
+
+    Notes
+    -----
+    The inverse of `display_encode`.
+    """
+    values = np.asarray(encoded, np.float32)
+    curved = np.power((np.maximum(values, 0.0) + np.float32(0.055)) / np.float32(1.055), np.float32(2.4))
+    return np.asarray(np.where(values <= 0.04045, values / np.float32(12.92), curved), np.float32)

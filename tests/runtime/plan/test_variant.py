@@ -57,5 +57,5 @@ def test_psfs_without_a_spike_are_left_as_they_are():
 def test_points_of_a_variant_are_sorted_by_row(small_combined):
     cells = range(0, small_combined.n_cells, 3)
     turned = [Variant(cell, 0, *turn, 1.5) for cell in cells for turn in product((False, True), repeat=3)]
-    for offset_rc, value, _ in variant_points([SHARP, *turned], small_combined, None):
+    for (offset_rc, value, _), _ in variant_points([SHARP, *turned], small_combined, None):
         assert (np.diff(offset_rc[:, 0]) >= 0).all() and len(value) == len(offset_rc)

@@ -1,0 +1,59 @@
+"""The command that shows a page to look while choosing."""
+
+from __future__ import annotations
+
+import webbrowser
+from typing import Any
+
+import click
+import cloup
+
+from spreadlets.cli.options import camera_of, camera_options, input_options, json_option, take_camera, take_reading
+from spreadlets.cli.show import print_figures
+
+
+@cloup.command()
+@cloup.argument("frames", nargs=-1, required=True, type=click.Path(dir_okay=False), metavar="FRAME.exr...")
+@cloup.option("--reference", type=click.Path(dir_okay=False), help="An image to wipe and to compare with.")
+@cloup.option("--db", "database", help="Database: a file or a shipped name.")
+@cloup.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page (default: one that is free).")
+@cloup.option("--no-browser", is_flag=True, help="Open no browser; the address is printed.")
+@camera_options
+@input_options
+@json_option
+def view(
+    frames: tuple[str, ...],
+    reference: str | None,
+    database: str | None,
+    port: int,
+    no_browser: bool,
+    camera: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Look while you choose focus, lens and bokeh: a page in the browser, served from this machine only.
+
+    Several frames are depth layers of one view, nearest first. The page's address holds a secret; it is served until
+    this command is interrupted. Needs the extra "view".
+
+    Example: spreadlets view frame.exr --camera camera.json --reference reference.exr
+    """
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.recognise import ReadOptions
+    from spreadlets.view.server import Server
+    from spreadlets.view.session import Scene, Studio
+
+    reading = take_reading(options)
+    lens = camera_of(camera, take_camera(options), frames[0], reading.get("depth_scale", 1.0))
+    chosen = ReadOptions(**reading, camera=lens)
+    frame = exr.read_frame(list(frames), options=chosen)
+    lens = lens.fitted(frame.raster.display.shape, frame.raster.pixel_aspect)
+    truth = exr.read_reference(reference, chosen) if reference else None
+    server = Server(Studio(Scene(frame, lens, database, truth, frames, camera)), port)
+    if as_json:
+        print_figures({"url": server.url}, as_json)
+    else:
+        click.echo(f"{server.url}\nInterrupt (Ctrl-C) to end.")
+    if not no_browser and not as_json:
+        webbrowser.open(server.url)
+    server.run()

@@ -1,0 +1,1 @@
+"""Depth of field for photographs with a depth map."""

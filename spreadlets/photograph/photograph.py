@@ -1,0 +1,181 @@
+"""A photograph and its depth map: with the blur of a lens wider than the one that took it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import FloatArray
+from spreadlets.bokeh import Progress
+from spreadlets.errors import InvalidParameterError, option
+from spreadlets.photograph.depth_map import DepthKind, inverse_depth, refined
+from spreadlets.photograph.grain import grained
+from spreadlets.psf.database import Database
+from spreadlets.renderer import Renderer
+from spreadlets.runtime.clock import Clock
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.display import display_decode, display_encode
+from spreadlets.scene.frame import Frame, image_array, real_array
+from spreadlets.scene.parts import depth_at
+
+if TYPE_CHECKING:
+    from spreadlets.models import Model
+    from spreadlets.runtime.options import RenderOptions
+
+DEFAULT_BLUR = 25.0
+FOCAL_LENGTH_MM, SENSOR_MM = 50.0, 36.0
+"""Of the lens that stands for any other: what counts is how the blur grows with inverse depth."""
+FARTHEST = 0.05
+"""Inverse depth, 1/m, that the farthest pixel is given where the scale is unknown; the nearest has 1."""
+LEAST_REACH = 0.1
+"""Share of the range of inverse depths behind the focus, at least, over which the blur grows to its full radius."""
+
+
+def photo(
+    rgb: npt.ArrayLike,
+    depth: npt.ArrayLike,
+    *,
+    focus: Sequence[float],
+    blur: float | None = None,
+    f_number: float | None = None,
+    focal_length: float | None = None,
+    depth_kind: DepthKind = "inverse",
+    refine: bool = True,
+    grain: bool = False,
+    database: Database | Model | str | None = None,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+    **options: Unpack[RenderOptions],
+) -> npt.NDArray[Any]:
+    """Give a photograph the depth of field of another lens.
+
+    Parameters
+    ----------
+    rgb : array_like of shape (H, W, 3)
+        The photograph: 8- or 16-bit integers in sRGB encoding, or linear floats.
+    depth : array_like of shape (h, w)
+        Its depth; stretched if it has another size.
+    focus : sequence of two or four floats
+        A point ``(x, y)``, or a box ``(left, top, right, bottom)`` with whatever is to be sharp, px of the photograph.
+    blur : float, optional
+        Radius of the blur at the far end, px; 25 by default.
+    f_number : float, optional
+        Instead of `blur`, for depths in metres: that of a full-frame camera.
+    focal_length : float, optional
+        With `f_number`: for a film 36 mm wide, mm; 50 by default.
+    depth_kind : {"inverse", "metric", "disparity"}
+        Inverse depth as networks predict it and disparity, both of unknown scale and offset, larger is nearer; or
+        metres.
+    refine : bool
+        Whether to move the edges of the depth to those of the photograph.
+    grain : bool
+        Whether to give what is blurred the grain of the photograph.
+    database : Database, Model or str, optional
+        The lens, see `synthesize`; by default a round aperture.
+    progress : callable, optional
+        Told how far the lens is built, if it is; see `Renderer`.
+    clock : Clock, optional
+        Adds the times of the steps to those that the caller has already taken.
+    options
+        Of `synthesize`; ``highlights=(gain, threshold)`` gives clipped light back, a ``mask`` keeps a subject sharp.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3)
+        Of the type of `rgb`, and encoded as that.
+
+    Raises
+    ------
+    InvalidFrameError
+        If an array has a wrong shape or values.
+    InvalidParameterError
+        If a parameter is out of its range, or an f-number is given for depths of unknown scale.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rgb = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+    >>> near = np.zeros((48, 64))
+    >>> near[16:32, 20:40] = 1.0
+    >>> image = sp.photo(rgb, near, focus=(30, 24), blur=4)
+    >>> image.dtype, image.shape
+    (dtype('uint8'), (48, 64, 3))
+    >>> bool(image[:10].std() < 0.5 * rgb[:10].std())  # what lies behind is blurred
+    True
+    """
+    codes, clock = np.asarray(rgb), clock or Clock()
+    with clock.step("plan"):
+        linear = _linear(codes)
+        inverse, least, most = inverse_depth(real_array("depth", depth), depth_kind, linear.shape[:2])
+        if refine:
+            inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
+    if depth_kind == "metric" and f_number is not None:
+        depths = least + (most - least) * inverse
+        camera = ThinLens(
+            focal_length or FOCAL_LENGTH_MM, SENSOR_MM, f_number, 1.0 / _focus(depths, focus), sensor_fit="auto"
+        )
+    elif f_number is not None:
+        raise InvalidParameterError(
+            f"{option('f_number')} needs depths in metres ({option('depth_kind')} metric); of an unknown scale, give "
+            f"{option('blur')}"
+        )
+    else:
+        depths = FARTHEST + (1.0 - FARTHEST) * inverse
+        camera = blurring_camera(depths, _focus(depths, focus), DEFAULT_BLUR if blur is None else blur)
+    with np.errstate(divide="ignore"):
+        frame = Frame(linear, np.float32(1.0) / np.maximum(depths, np.float32(0.0)))
+    with Renderer(frame, database or "simplelens", progress=progress) as renderer:
+        image = renderer.render(camera, clock=clock, **options)[..., :3]
+        coc = renderer.coc(camera, **options) if grain else None
+    return _coded(image if coc is None else grained(image, linear, coc), codes.dtype)
+
+
+def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
+    """Return a camera that blurs the farthest of some inverse depths (H, W), 1/m, with a radius in px.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the radius is not above 0.
+    """
+    if not 0.0 < blur < np.inf:
+        raise InvalidParameterError(f"{option('blur')} is {blur:g}: needed is a radius above 0 px")
+    reach = max(focus - float(inverse.min()), LEAST_REACH * float(inverse.max() - inverse.min()))
+    scale = blur / reach
+    focal_length_px = FOCAL_LENGTH_MM / SENSOR_MM * inverse.shape[1]
+    return ThinLens(FOCAL_LENGTH_MM, SENSOR_MM, 0.5 * FOCAL_LENGTH_MM / 1000.0 * focal_length_px / scale, 1.0 / focus)
+
+
+def _linear(codes: npt.NDArray[Any]) -> FloatArray:
+    """Return a photograph as linear light."""
+    if codes.dtype.kind == "u" and codes.dtype.itemsize <= 2:
+        codes = display_decode(codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max))
+    return np.ascontiguousarray(image_array("rgb", codes)[..., :3])
+
+
+def _coded(image: FloatArray, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return linear light in the type of a photograph."""
+    if kind.kind != "u" or kind.itemsize > 2:
+        return np.ascontiguousarray(image)
+    return np.asarray(np.rint(np.iinfo(kind).max * display_encode(image)), kind)
+
+
+def _focus(inverse: FloatArray, focus: Sequence[float]) -> float:
+    """Return the inverse depth of what is to be sharp."""
+    from spreadlets.scene.raster import Raster
+
+    height, width = inverse.shape
+    with np.errstate(divide="ignore"):
+        if len(focus) == 2:
+            return float(1.0 / depth_at(1.0 / inverse, Raster.of_shape((height, width)), *focus))
+    if len(focus) != 4:
+        raise InvalidParameterError(f"{option('focus')} is {tuple(focus)}: needed are x,y or left,top,right,bottom")
+    left, top, right, bottom = (round(each) for each in focus)
+    if not (0 <= left < right <= width and 0 <= top < bottom <= height):
+        raise InvalidParameterError(
+            f"{option('focus')} is {tuple(focus)}: the box must lie within {width} x {height} px"
+        )
+    return float(np.median(inverse[top:bottom, left:right]))

@@ -1,0 +1,337 @@
+"""A frame and a database, ready to be looked at through one camera after another."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from threading import Lock
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal, Self, Unpack, overload
+
+import numpy as np
+
+from spreadlets.arrays import FloatArray, Image
+from spreadlets.bokeh import BokehCache, Progress
+from spreadlets.errors import AmbiguousInputWarning, LeftOutError
+from spreadlets.full_psfs import full_psfs
+from spreadlets.models import Model
+from spreadlets.psf.database import Database, open_database
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.display import display_encode
+from spreadlets.scene.doubts import frame_doubts
+from spreadlets.scene.frame import Frame
+from spreadlets.scene.parts import (
+    checked_mask,
+    cut,
+    depth_at,
+    means,
+    put_before,
+    region_window,
+    seen_depth,
+    smaller,
+    smaller_raster,
+    without,
+)
+from spreadlets.scene.raster import Raster
+
+if TYPE_CHECKING:
+    from spreadlets.runtime.clock import Clock
+    from spreadlets.runtime.options import Options, RenderOptions
+    from spreadlets.runtime.report import Report
+
+MOST_PROXIES = 4
+"""Sizes of a frame that are kept."""
+
+
+class Renderer:
+    """A frame and a database: what does not depend on the camera is done once, and kept.
+
+    Parameters
+    ----------
+    frame : Frame or sequence of Frame
+        A pinhole frame, or depth layers, nearest first.
+    database : Database, Model or str, optional
+        An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
+        ``"simplelens"``. What is not open is opened when it is first needed, and closed with the renderer. For a
+        model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built, and kept in this user's
+        cache.
+    progress : callable, optional
+        Told the numbers of spreadlets that are built and of all, and of the seconds left, while a model is built.
+
+    Notes
+    -----
+    It may be used from several threads at once. Its images are those of `synthesize`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> frame = sp.Frame(np.ones((32, 48, 3)), depth=np.full((32, 48), 4.0))
+    >>> camera = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=2, focus_distance_m=2)
+    >>> with sp.Renderer(frame, "simplelens") as renderer:
+    ...     image = renderer.render(camera)
+    ...     renderer.coc(camera)[0, 0].round(2), renderer.depth_at(24, 16)
+    (np.float32(0.53), 4.0)
+    >>> image.shape
+    (32, 48, 4)
+    """
+
+    def __init__(
+        self,
+        frame: Frame | Sequence[Frame],
+        database: Database | Model | str | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> None:
+        from spreadlets.runtime.label.surfaces import KeptSurfaces
+
+        self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
+        self._database = database
+        self._bokeh = BokehCache(database, progress) if isinstance(database, Model) else None
+        self._opened: list[Database] = []
+        self._named: dict[str, Database] = {}
+        self._current: Database | None = None
+        self._proxies: dict[float, Frame] = {1.0: self.frame}
+        self._depths: dict[float, FloatArray] = {}
+        self._split = KeptSurfaces()
+        self._lock = Lock()
+        self._shown: Image | None = None
+
+    @overload
+    def render(
+        self,
+        camera: ThinLens,
+        *,
+        report: Literal[False] = ...,
+        clock: Clock | None = ...,
+        **options: Unpack[RenderOptions],
+    ) -> Image: ...
+
+    @overload
+    def render(
+        self, camera: ThinLens, *, report: Literal[True], clock: Clock | None = ..., **options: Unpack[RenderOptions]
+    ) -> tuple[Image, Report]: ...
+
+    def render(
+        self,
+        camera: ThinLens,
+        *,
+        report: bool = False,
+        clock: Clock | None = None,
+        **options: Unpack[RenderOptions],
+    ) -> Image | tuple[Image, Report]:
+        """Return the frame as a camera sees it.
+
+        Parameters
+        ----------
+        camera, report, clock, options
+            As for `synthesize`.
+
+        Returns
+        -------
+        image : ndarray of shape (H, W, 4), float32
+            Linear, premultiplied; of a region or a proxy in its size.
+        report : Report
+            Only with ``report=True``.
+        """
+        from spreadlets.runtime.options import Options
+
+        chosen = Options.of(**options)
+        camera = self._focused(camera, chosen)
+        _warn(frame_doubts(self.frame, camera))
+        image, figures = self._synthesized(camera, chosen, clock)
+        image = self._shown = self._cut(image, chosen)
+        return (image, figures) if report else image
+
+    def raster(self, **options: Unpack[RenderOptions]) -> Raster:
+        """Return where the pixels of an image lie that `render` makes with these options."""
+        from spreadlets.runtime.options import Options
+
+        chosen = Options.of(**options)
+        raster = smaller_raster(self.frame.raster, chosen.proxy)
+        if chosen.region is None:
+            return raster
+        return replace(raster, data=region_window(chosen.region, self.frame.raster, chosen.proxy), stored=None)
+
+    def camera(self, camera: ThinLens, **options: Unpack[RenderOptions]) -> ThinLens:
+        """Return the camera that `render` uses with these options: fitted to the frame, and focused at ``focus_at``."""
+        from spreadlets.runtime.options import Options
+
+        return self._focused(camera, Options.of(**options))
+
+    def coc(self, camera: ThinLens, **options: Unpack[RenderOptions]) -> FloatArray:
+        """Return the signed radius of the circle of confusion of what is seen in each pixel.
+
+        Parameters
+        ----------
+        camera : ThinLens
+        options
+            Those that change it, see `synthesize`: ``near_strength``, ``far_strength``, ``in_focus``, ``max_coc``,
+            ``focus_at``; and ``region`` and ``proxy``.
+
+        Returns
+        -------
+        ndarray of shape (H, W), float32
+            Pixels of the whole frame, negative in front of the focus.
+        """
+        from spreadlets.runtime.options import Options
+
+        chosen = Options.of(**options)
+        camera = self._focused(camera, chosen)
+        depth = self._cut(self._seen_depth(chosen.proxy), chosen)
+        width = self.frame.raster.display.width
+        radius = np.asarray(camera.coc_radius(depth, width), np.float32)
+        if chosen.change_coc:
+            radius = chosen.coc(radius, depth, camera.coc_scale(width))
+        return radius
+
+    @property
+    def depth(self) -> FloatArray:
+        """Depth of what is seen in each pixel, (H, W) float32, metres; ``inf`` where there is nothing."""
+        return self._seen_depth(1.0)
+
+    def proxy_depth(self, share: float) -> FloatArray:
+        """Return the depth of what is seen in each pixel of a proxy of this share of the size, (h, w) float32."""
+        return self._seen_depth(share)
+
+    def depth_at(self, x: float, y: float) -> float:
+        """Return the depth of the surface under a point, metres.
+
+        Parameters
+        ----------
+        x, y : float
+            Column and row, px; 0, 0 is the first pixel, unless the file's windows say otherwise.
+
+        Returns
+        -------
+        float
+            The median of the pixels around that belong to the same surface.
+
+        Raises
+        ------
+        InvalidParameterError
+            If the point lies outside the frame.
+        """
+        return depth_at(self.depth, self.frame.raster, x, y)
+
+    def close(self) -> None:
+        """Close the databases that this renderer has opened."""
+        with self._lock:
+            if self._bokeh is not None:
+                self._bokeh.store()
+            for database in self._opened:
+                database.close()
+            self._opened.clear()
+            self._named.clear()
+            self._current = None
+
+    def __enter__(self) -> Self:
+        """Return the renderer."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that was made last as a notebook shows it: PNG, or before any the frame itself."""
+        from PIL import Image as Picture
+
+        shown = self.frame.layers[0].radiance if self._shown is None else self._shown
+        file = io.BytesIO()
+        encoded = np.rint(255.0 * np.nan_to_num(display_encode(shown[..., :3]))).astype(np.uint8)
+        Picture.fromarray(encoded).save(file, "PNG", compress_level=1)
+        return file.getvalue()
+
+    def _synthesized(self, camera: ThinLens, options: Options, clock: Clock | None) -> tuple[Image, Report]:
+        """Return the whole image of a proxy, with what is held out put before it."""
+        from spreadlets.runtime import render
+
+        frame, mask, chosen = self._proxy(options.proxy), None, options
+        if options.mask is not None:
+            whole = frame
+            mask = means(checked_mask(options.mask, self.frame), whole.shape)
+            frame = without(whole, mask)
+        if options.max_coc is not None:
+            options = replace(options, max_coc=options.max_coc * options.proxy)
+        with self._lock:
+            database = self._open(options.motion and any(layer.has_motion for layer in frame.layers))
+        try:
+            psfs = full_psfs(database, options)
+            image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split)
+        except LeftOutError as error:
+            if self._bokeh is None:
+                raise
+            self._build(self._bokeh, database, error.places)
+            return self._synthesized(camera, chosen, clock)
+        return (image if mask is None else put_before(image, whole, mask)), figures
+
+    def _proxy(self, share: float) -> Frame:
+        with self._lock:
+            if share not in self._proxies:
+                while len(self._proxies) > MOST_PROXIES:
+                    oldest = [each for each in self._proxies if each != 1.0][0]
+                    self._depths.pop(oldest, None)
+                    del self._proxies[oldest]
+                self._proxies[share] = smaller(self.frame, share)
+            return self._proxies[share]
+
+    def _seen_depth(self, share: float) -> FloatArray:
+        frame = self._proxy(share)
+        with self._lock:
+            if share not in self._depths:
+                self._depths[share] = seen_depth(frame)
+            return self._depths[share]
+
+    def _cut(self, values: FloatArray, options: Options) -> FloatArray:
+        """Return the region of an array (H, W, ...) of a proxy's pixels."""
+        if options.region is None:
+            return values
+        raster = self.frame.raster
+        wanted = region_window(options.region, raster, options.proxy)
+        return cut(values, smaller_raster(raster, options.proxy).data, wanted)
+
+    def _focused(self, camera: ThinLens, options: Options) -> ThinLens:
+        camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
+        if options.focus_at is None:
+            return camera
+        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at))
+
+    def _open(self, moving: bool) -> Database:
+        """Return the database, opened if it is not."""
+        if isinstance(self._database, Database):
+            return self._database
+        if self._bokeh is not None:
+            if self._current is None:
+                self._current = self._bokeh.open()
+                self._bokeh.recall()
+                self._opened.append(self._current)
+            return self._current
+        assert not isinstance(self._database, Model)
+        name = self._database or default_database(moving)
+        if name not in self._named:
+            self._named[name] = open_database(name)
+            self._opened.append(self._named[name])
+        return self._named[name]
+
+    def _build(self, bokeh: BokehCache, database: Database, places: Sequence[tuple[int, int]]) -> None:
+        """Add spreadlets to those of the cache, unless another thread has added some; that is then looked at anew."""
+        with self._lock:
+            if self._current is database:
+                bokeh.add(places)
+                # Other threads may still read the one before.
+                self._current = None
+
+
+def default_database(moving: bool) -> str:
+    """Return the name of the database for a frame that moves, or not."""
+    return "combined" if moving else "simplelens"
+
+
+def _warn(doubts: Sequence[str]) -> None:
+    """Warn the caller of a renderer's method of each doubt."""
+    for doubt in doubts:
+        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=3)

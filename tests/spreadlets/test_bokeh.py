@@ -1,0 +1,103 @@
+"""Apertures of one's own: built as frames need them, kept by content."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import spreadlets as sp
+from spreadlets import bokeh
+from spreadlets.errors import InvalidParameterError
+
+CAMERA = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=0.2, focus_distance_m=2.0)
+SHAPE = (48, 64)
+MODEL = sp.models.SimpleLens(blades=5, rotation=10.0, samples=12, max_coc=12.0)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv(bokeh.FOLDER, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture(scope="module")
+def frame():
+    radiance = np.full((*SHAPE, 3), 0.2, np.float32)
+    radiance[20, 30] = 60.0
+    return sp.Frame(radiance, np.full(SHAPE, 4.0))
+
+
+def stored_spreadlets(path):
+    with sp.open_database(path) as database:
+        return database.summary()["n_spreadlets"]
+
+
+def refuse(*given, **options):
+    raise AssertionError("nothing is to be built")
+
+
+def test_the_image_is_that_of_a_whole_database_and_the_second_run_builds_nothing(cache, frame, tmp_path, monkeypatch):
+    sp.build_database(MODEL, tmp_path / "whole.h5", jobs=1)
+    first = sp.synthesize(frame, CAMERA, MODEL)
+    np.testing.assert_allclose(first, sp.synthesize(frame, CAMERA, str(tmp_path / "whole.h5")), atol=1e-5)
+    monkeypatch.setattr("spreadlets.precompute.build.build.build_database", refuse)
+    np.testing.assert_allclose(sp.synthesize(frame, CAMERA, MODEL), first, atol=1e-5)
+
+
+def test_another_camera_adds_what_it_needs(cache, frame):
+    told = []
+    with sp.Renderer(frame, MODEL, progress=lambda *numbers: told.append(numbers)) as renderer:
+        renderer.render(CAMERA)
+        (database,) = cache.glob("*.h5")
+        before = stored_spreadlets(database)
+        renderer.render(replace(CAMERA, f_number=0.3))
+    assert list(cache.glob("*.h5")) == [database] and stored_spreadlets(database) > before
+    assert told
+
+
+def test_equal_apertures_share_a_file_and_others_do_not(cache):
+    paths = [
+        bokeh.BokehCache(model).path
+        for model in (MODEL, replace(MODEL), replace(MODEL, blades=6), sp.models.Combined(blades=5))
+    ]
+    assert paths[0] == paths[1] and len(set(paths)) == 3
+
+
+def test_psfs_of_highlights_are_stored_and_a_damaged_file_is_no_harm(cache, frame, monkeypatch):
+    from spreadlets.precompute.models import registry
+
+    first = sp.synthesize(frame, CAMERA, MODEL)
+    (stored,) = cache.glob("*.npz")
+    monkeypatch.setattr(registry, "_EXACT", {})
+    monkeypatch.setattr(registry, "_traced_exactly", refuse)
+    np.testing.assert_allclose(sp.synthesize(frame, CAMERA, MODEL), first, atol=1e-4)
+    monkeypatch.undo()
+    monkeypatch.setenv(bokeh.FOLDER, str(cache))
+    monkeypatch.setattr(registry, "_EXACT", {})
+    stored.write_bytes(stored.read_bytes()[:100])
+    np.testing.assert_allclose(sp.synthesize(frame, CAMERA, MODEL), first, atol=1e-4)
+
+
+def test_what_was_not_used_for_the_longest_goes_first(cache, frame, monkeypatch):
+    sp.synthesize(frame, CAMERA, MODEL)
+    old = next(cache.glob("*.h5"))
+    monkeypatch.setattr(bokeh, "MOST_BYTES", int(1.2 * old.stat().st_size))
+    sp.synthesize(frame, CAMERA, replace(MODEL, blades=7))
+    assert not list(cache.glob(f"{old.stem}.*")) and len(list(cache.glob("*.h5"))) == 1
+
+
+def test_an_image_may_be_the_psf(cache, frame, tmp_path):
+    from PIL import Image
+
+    half = np.zeros((32, 32), np.uint8)
+    half[:, 16:] = 255
+    Image.fromarray(half).save(tmp_path / "half.png")
+    model = replace(bokeh.bokeh_model(moving=True, kernel=str(tmp_path / "half.png")), samples=8, max_coc=12.0)
+    image = sp.synthesize(frame, CAMERA, model)
+    light = image[..., 0] - 0.2
+    assert light[:, 31:].sum() > 20 * np.abs(light[:, :30].sum())
+
+
+def test_impossible_apertures_are_refused(cache, frame):
+    with pytest.raises(InvalidParameterError, match="blades is 2"):
+        sp.synthesize(frame, CAMERA, sp.models.SimpleLens(blades=2))
