@@ -233,3 +233,25 @@ def test_messages_spell_options_as_they_are_typed():
     with options_spelled(lambda name: "--" + name.replace("_", "-")):
         assert option("f_number") == "--f-number"
     assert option("f_number") == "f_number"
+
+
+def test_keys_of_a_json_camera_change_the_lens_over_time(tmp_path):
+    keys = [{"time": -0.5, "focus_distance_m": 2.0}, {"time": 0.5, "focus_distance_m": 4.0}]
+    camera = read_camera(write_json(tmp_path / "pull.json", keys=keys, readout_frames=0.25))
+    assert camera.at(0.25).focus_distance_m == pytest.approx(3.5) and camera.readout_frames == 0.25
+    assert camera.at(9.0).focus_distance_m == 4.0 and camera.at(0.0).f_number == camera.f_number
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({}, "must be a list of objects with time"),
+        ([{"focus_distance_m": 2.0}], "must be a list of objects with time"),
+        ([{"time": 0.0, "focus": 2.0}], "a key has focus; allowed are time, focal_length_mm"),
+        ([{"time": 0.0, "f_number": "2"}], "f_number of a key is '2'; it must be a number"),
+        ([{"time": 0.0, "f_number": 0.0}], "the key at 0 frames: f_number is 0"),
+    ],
+)
+def test_bad_keys_of_a_json_camera_are_refused(tmp_path, keys, said):
+    with pytest.raises(InvalidCameraError, match=said):
+        read_camera(write_json(tmp_path / "bad.json", keys=keys))
