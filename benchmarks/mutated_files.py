@@ -342,19 +342,21 @@ def flat_planes(path: Path) -> list[dict[str, np.ndarray]]:
 
 def read_frame_file(path: Path, original: Path) -> Further:
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_parts import read_parts
+    from spreadlets.files.exr_file import ExrFile
 
     frame = exr.read_frame(path)
-    compare_flat(path, original, read_parts(path))
+    with ExrFile(path) as file:
+        compare_flat(path, original, file.parts)
     return lambda: synthesise_of(frame, original.parent)
 
 
 def read_samples_file(path: Path, original: Path) -> None:
-    from spreadlets.files.exr_parts import read_parts
+    from spreadlets.files.exr_file import ExrFile
     from spreadlets.files.exr_samples import read_samples
 
     read_samples(path)
-    compare_flat(path, original, read_parts(path))
+    with ExrFile(path) as file:
+        compare_flat(path, original, file.parts)
 
 
 def compare_flat(path: Path, original: Path, parts: list) -> None:
@@ -378,12 +380,13 @@ def compare_planes(parts: list, expected: list[dict[str, np.ndarray]]) -> None:
 def read_deep_file(path: Path, original: Path) -> Further:
     """Read a deep image; compare with the library's own reader, with the original where that is stricter than zlib."""
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_chunks import read_deep_part
+    from spreadlets.files.exr_file import ExrFile
 
     frame = exr.read_frame(path)
     expected = deep_channels(path) or deep_channels(original)
-    for name, values in read_deep_part(path, 0).channels.items():
-        agree(name, values, expected[name])
+    with ExrFile(path) as file:
+        for name, values in file.deep_part(0).channels.items():
+            agree(name, values, expected[name])
     return lambda: synthesise_of(frame, original.parent)
 
 
@@ -391,7 +394,7 @@ def deep_channels(path: Path) -> dict[str, np.ndarray]:
     """Read the samples of each channel by the library; none if it refuses them."""
     import OpenEXR
 
-    from spreadlets.files.exr_parts import library_messages
+    from spreadlets.files.exr_file import library_messages
 
     with library_messages():
         parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -537,8 +540,7 @@ READERS: dict[str, Callable[[Path, Path], Further | None]] = {
 def lower_limits() -> None:
     """Hold the readers to `LIMIT_BYTES`, so that what exceeds the limits is small enough to be tried by thousands."""
     import spreadlets.psf.database as database
-    from spreadlets.files import deep, tlfr
-    from spreadlets.files import exr_parts as exr_file
+    from spreadlets.files import deep, exr_file, tlfr
     from spreadlets.psf import database_file
 
     for module in (deep, exr_file, tlfr):

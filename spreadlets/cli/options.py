@@ -132,7 +132,7 @@ def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in taken.items() if value is not None}
 
 
-def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None, scene_scale: float = 1.0) -> Any:
+def camera_of(path: str | None, values: dict[str, Any], frame: Any = None, scene_scale: float = 1.0) -> Any:
     """Return the camera of a file and single values; without a file, of what the frame itself carries.
 
     Parameters
@@ -141,7 +141,7 @@ def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None
         The camera's file.
     values : dict
         Single values, which override.
-    frame : str, optional
+    frame : str or ExrFile, optional
         The frame's file.
     scene_scale : float
         Metres of the frame's unit.

@@ -178,6 +178,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
+    from spreadlets.files.exr_file import opened
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
     from spreadlets.files.pictures import read_plane
     from spreadlets.files.recognise import ReadOptions
@@ -185,10 +186,12 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     from spreadlets.runtime.clock import Clock
 
     clock = Clock()
-    with clock.step("read"):
-        camera = camera_of(job.camera, job.lens, job.frames[0], job.reading.get("depth_scale", 1.0))
+    with clock.step("read"), opened(job.frames) as files:
+        camera = camera_of(job.camera, job.lens, files[0], job.reading.get("depth_scale", 1.0))
         options = ReadOptions(**job.reading, camera=camera)
-        frame = exr.read_frame(list(job.frames), options=options)
+        frame = exr.read_frame(files, options=options)
+        elements = list(with_colours(files, frame, job.also, options.view))
+        further = other_channels(files, frame.raster, options.colour_layer, options.view) if job.pass_through else {}
         truth = exr.read_reference(job.reference, options) if job.reference else None
     rendering = dict(job.rendering)
     database = rendering.pop("database")
@@ -202,10 +205,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
     figures = _compared(*_alike(image, truth, raster, rendering))
-    further = {}
-    if job.pass_through:
-        further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
-    for name, element in with_colours(job.frames, frame, job.also, options.view):
+    for name, element in elements:
         with Renderer(element, chosen) as renderer:
             further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):

@@ -21,7 +21,8 @@ from spreadlets.errors import (
     MissingPackageError,
     option,
 )
-from spreadlets.files.exr_parts import EXR_MAGIC, read_headers
+from spreadlets.files.exr_file import Source, opened
+from spreadlets.files.kinds import OPENEXR, file_kind
 from spreadlets.scene.camera import MM_PER_M, LensModel, SensorFit, ThinLens, checked_number
 
 MAX_CAMERA_BYTES = 1 << 20
@@ -130,21 +131,21 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
         raise InvalidCameraError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
 
 
-def frame_camera(path: PathLike, scene_scale: float = 1.0) -> dict[str, Any]:
+def frame_camera(path: Source, scene_scale: float = 1.0) -> dict[str, Any]:
     """Return the values of a camera that a frame's own file carries, by the names of `ThinLens`'s parameters.
 
     Parameters
     ----------
-    path : path
+    path : path or ExrFile
         An OpenEXR file; any other carries none.
     scene_scale : float
         Metres of the scene's unit, as for the depth.
     """
     try:
-        headers = read_headers(path)
+        with opened(path) as (file,):
+            return _carried_values(file.headers, scene_scale)
     except InvalidFileError:
         return {}
-    return _carried_values(headers, scene_scale)
 
 
 def _carried_values(headers: Sequence[Mapping[str, Any]], scene_scale: float = 1.0) -> dict[str, Any]:
@@ -204,20 +205,13 @@ def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str,
     name, prim = _usd_place(os.fspath(path))
     if name is not None:
         return _usd_values(name, prim), HALF_A_FRAME
-    if _starts_with(path, EXR_MAGIC):
-        found = _carried_values(read_headers(path))
+    if file_kind(path) == OPENEXR:
+        with opened(path) as (file,):
+            found = _carried_values(file.headers)
         if not found and not given:
             raise InvalidCameraError("holds no camera attributes that are known")
         return found, HALF_A_FRAME
     return _json_values(_read_object(Path(path))), {}
-
-
-def _starts_with(path: PathLike, magic: bytes) -> bool:
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(magic)) == magic
-    except OSError:
-        return False
 
 
 # --- JSON ----------------------------------------------------------------------------------------------------------

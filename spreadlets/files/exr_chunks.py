@@ -74,38 +74,38 @@ class _PartHeader:
     types: Mapping[str, np.dtype[Any]]
 
 
-def check_structure(path: PathLike) -> None:
+def check_structure(file: BinaryIO) -> None:
     """Check that the headers of a file are well-formed: the library passes over much that is not, and guesses.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened.
+    file : binary file
+        An OpenEXR file that the library has read.
 
     Raises
     ------
     InvalidFileError
         If a header is malformed.
     """
-    with _opened(path, "its header is malformed") as file:
+    with _refusing(file, "its header is malformed"):
         if not _file_headers(file)[1]:
             raise ValueError("it has no parts")
 
 
-def check_chunks(path: PathLike) -> None:
+def check_chunks(file: BinaryIO) -> None:
     """Check that the chunks of all flat scanlines lie where the file's tables say; tiles are left to the library.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened, of a size that was checked.
+    file : binary file
+        An OpenEXR file that the library has read, of a size that was checked.
 
     Raises
     ------
     InvalidFileError
         If the file ends early, or a table points to something else than its chunk.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         begin, end = file.tell(), os.fstat(file.fileno()).st_size
         for part, (header, table) in enumerate(zip(headers, offsets, strict=True)):
@@ -120,13 +120,13 @@ def check_chunks(path: PathLike) -> None:
                     raise ValueError(f"the lines from {y} on are not where the table says")
 
 
-def deep_sample_bytes(path: PathLike) -> int:
+def deep_sample_bytes(file: BinaryIO) -> int:
     """Return how many bytes the unpacked samples of all deep scanlines take.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened.
+    file : binary file
+        An OpenEXR file that the library has read.
 
     Returns
     -------
@@ -137,19 +137,19 @@ def deep_sample_bytes(path: PathLike) -> int:
     InvalidFileError
         If the file ends early or its tables point outside it.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         deep = [table for header, table in zip(headers, offsets, strict=True) if header.deep]
         return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
 
 
-def read_deep_part(path: PathLike, part: int) -> DeepPart:
+def read_deep_part(file: BinaryIO, part: int) -> DeepPart:
     """Return the samples of a deep part.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened, of a size that was checked.
+    file : binary file
+        An OpenEXR file that the library has read, of a size that was checked.
     part : int
         Which part, from 0.
 
@@ -163,12 +163,12 @@ def read_deep_part(path: PathLike, part: int) -> DeepPart:
         If the file is truncated or corrupt, a channel is subsampled, or the compression is none that deep scanlines may
         have.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         return _deep_part(file, headers[part], offsets[part], multi_part)
 
 
-def read_attributes(path: PathLike) -> list[dict[str, Attribute]]:
+def read_attributes(file: BinaryIO) -> list[dict[str, Attribute]]:
     """Return all attributes of each part's header as they are stored.
 
     Raises
@@ -176,7 +176,7 @@ def read_attributes(path: PathLike) -> list[dict[str, Attribute]]:
     InvalidFileError
         If a header is malformed.
     """
-    with _opened(path, "its header is malformed") as file:
+    with _refusing(file, "its header is malformed"):
         _, version = struct.unpack("<iI", _exactly(file, 8))
         parts = [_attributes(file)]
         while version & MULTI_PART and (attributes := _attributes(file)):
@@ -198,8 +198,9 @@ def add_attributes(
     replacing : collection of str
         Names of attributes that give way.
     """
-    found = read_attributes(path)
     with open(path, "rb") as file:
+        found = read_attributes(file)
+        file.seek(0)
         multi_part, _, tables = _tables(file)
         chunks = file.read()
         begin = file.tell() - len(chunks)
@@ -221,13 +222,13 @@ def add_attributes(
 
 
 @contextmanager
-def _opened(path: PathLike, problem: str) -> Iterator[BinaryIO]:
-    """Open a file, and say what is wrong with it where it cannot be read as it should."""
+def _refusing(file: BinaryIO, problem: str) -> Iterator[None]:
+    """Go to the beginning of a file, and say what is wrong with it where it cannot be read as it should."""
     try:
-        with open(path, "rb") as file:
-            yield file
+        file.seek(0)
+        yield
     except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: {problem} ({error})") from None
+        raise InvalidFileError(f"{file.name}: {problem} ({error})") from None
 
 
 def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], multi_part: bool) -> DeepPart:

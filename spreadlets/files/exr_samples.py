@@ -11,19 +11,17 @@ import OpenEXR
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError
 from spreadlets.files.atomic import atomic_path
-from spreadlets.files.attributes import carried_attributes
+from spreadlets.files.exr_file import ExrFile, Source, library_messages
 from spreadlets.files.exr_parts import (
     Image,
     check_same_window,
     covered,
     gather,
-    library_messages,
     merged,
     part_header,
-    read_headers,
-    read_parts,
     window,
 )
+from spreadlets.files.kinds import open_file
 from spreadlets.files.tlfr import HEADER_SUFFIX, is_tlfr, read_tlfr
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.raster import Raster
@@ -46,7 +44,7 @@ VALID = "valid"
 """Channel that is 0 where a pixel has no such sample; it is there only if some pixel lacks one."""
 
 
-def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool = False) -> SampleBuffer:
+def read_samples(path: Source, *, camera: ThinLens | None = None, repair: bool = False) -> SampleBuffer:
     """Read a buffer of labelled samples.
 
     Parameters
@@ -85,13 +83,15 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
     >>> sp.read_samples("samples.exr").n_samples
     2
     """
-    name = os.fspath(path).removesuffix(HEADER_SUFFIX)
-    try:
-        if is_tlfr(name):
-            return read_tlfr(name, shutter=None if camera is None else camera.shutter, repair=repair)
-        return _read_exr(path, repair)
-    except InvalidFrameError as error:
-        raise InvalidFrameError(f"{path}: {error}") from None
+    if isinstance(path, ExrFile):
+        return _samples_of(path, repair)
+    with open_file(os.fspath(path).removesuffix(HEADER_SUFFIX)) as file:
+        if not is_tlfr(file):
+            return _samples_of(ExrFile(file), repair)
+        try:
+            return read_tlfr(file, shutter=None if camera is None else camera.shutter, repair=repair)
+        except InvalidFrameError as error:
+            raise InvalidFrameError(f"{path}: {error}") from None
 
 
 def samples_files(path: PathLike) -> list[str]:
@@ -104,8 +104,9 @@ def samples_raster(path: PathLike, shape: tuple[int, int]) -> Raster:
     """Return where the pixels (H, W) lie that `read_samples` gives, and what the file's first header says besides."""
     if is_tlfr(os.fspath(path).removesuffix(HEADER_SUFFIX)):
         return Raster.of_shape(shape)
-    display = window(read_headers(path)[0]["displayWindow"])
-    return Raster(display, display, attributes=carried_attributes(path)[0])
+    with ExrFile(path) as file:
+        display = window(file.headers[0]["displayWindow"])
+        return Raster(display, display, attributes=file.attributes[0])
 
 
 def write_samples(path: PathLike, samples: SampleBuffer) -> None:
@@ -149,14 +150,14 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
         OpenEXR.File(parts).write(str(temporary))
 
 
-def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
+def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
     """Return the samples of an OpenEXR file, one per part."""
-    images = {part.name: merged(path, [part]) for part in read_parts(path)}
+    images = {part.name: merged(file.path, [part]) for part in file.parts}
     for name, image in images.items():
         missing = [channel for channel in NEEDED if channel not in image.planes]
         if missing:
             raise InvalidFileError(
-                f"{path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
+                f"{file.path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
                 f"Channels found: {', '.join(sorted(image.planes))}"
             )
     first = next(iter(images.values()))
@@ -168,7 +169,10 @@ def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
     scalars = [label for label in there if len(CHANNELS[label]) == 1]
     labels |= {label: labels[label][..., 0] for label in scalars}
     valid = np.stack([_there(image) for image in images.values()], axis=2)
-    return SampleBuffer(_stacked(images, colours), valid=valid, repair=repair, **labels)
+    try:
+        return SampleBuffer(_stacked(images, colours), valid=valid, repair=repair, **labels)
+    except InvalidFrameError as error:
+        raise InvalidFrameError(f"{file.path}: {error}") from None
 
 
 def _stacked(images: Mapping[str, Image], names: tuple[str, ...]) -> FloatArray:

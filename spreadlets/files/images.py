@@ -15,7 +15,8 @@ from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidParameterError
 from spreadlets.files.atomic import atomic_path
 from spreadlets.files.attributes import FILE_ATTRIBUTES, WRITTEN_BY_LIBRARY, carry_attributes, chromaticities
-from spreadlets.files.exr_parts import library_messages, part_header
+from spreadlets.files.exr_file import library_messages
+from spreadlets.files.exr_parts import part_header
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import image_array
 from spreadlets.scene.primaries import to_rec_709

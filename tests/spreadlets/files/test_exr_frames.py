@@ -5,9 +5,8 @@ import OpenEXR
 import pytest
 
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
+from spreadlets.files import exr_file, images
 from spreadlets.files import exr_frames as exr
-from spreadlets.files import exr_parts as exr_file
-from spreadlets.files import images
 from spreadlets.files.exr_chunks import check_chunks, check_structure
 from spreadlets.scene.frame import Frame
 
@@ -342,7 +341,7 @@ def test_subsampled_channels_are_refused(path):
 
 def test_missing_files_and_folders_are_refused(tmp_path):
     for path in (tmp_path / "absent.exr", tmp_path, tmp_path / ("x" * 300)):
-        with pytest.raises(InvalidFileError, match="no such file"):
+        with pytest.raises(InvalidFileError, match="no such file|not a regular file"):
             exr.read_frame(path)
 
 
@@ -405,7 +404,8 @@ def test_a_malformed_header_is_refused_where_the_library_would_guess(tmp_path):
     with pytest.raises(InvalidFileError):
         exr.read_image(tmp_path / "a.exr")
     with pytest.raises(InvalidFileError, match="its header is malformed"):
-        check_structure(tmp_path / "a.exr")
+        with open(tmp_path / "a.exr", "rb") as file:
+            check_structure(file)
 
 
 def test_a_table_that_does_not_point_to_its_chunks_is_refused_where_the_library_would_search(tmp_path):
@@ -424,7 +424,8 @@ def test_chunks_of_every_compression_are_found(tmp_path, compression):
     pixels = np.random.default_rng(0).random((300, 5)).astype(np.float32)
     header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Y": pixels}).write(str(tmp_path / "a.exr"))
-    check_chunks(tmp_path / "a.exr")
+    with open(tmp_path / "a.exr", "rb") as file:
+        check_chunks(file)
 
 
 def test_channels_out_of_order_are_refused(tmp_path):

@@ -121,7 +121,8 @@ def test_windows_aspect_and_attributes_of_a_frame_come_back(path, tmp_path):
     OpenEXR.File({"type": OpenEXR.scanlineimage, **header}, channels).write(str(path))
     frame = exr.read_frame(path)
     images.write_image(tmp_path / "out.exr", frame.radiance, raster=frame.raster)
-    (before,), (after,) = read_attributes(path), read_attributes(tmp_path / "out.exr")
+    with open(path, "rb") as given, open(tmp_path / "out.exr", "rb") as written:
+        (before,), (after,) = read_attributes(given), read_attributes(written)
     own = {"channels", "compression", "type", "chunkCount"}
     assert {name: each for name, each in after.items() if name not in own} == {
         name: each for name, each in before.items() if name not in own
