@@ -146,7 +146,7 @@ def reconstruct(
     a layer is a hole in it.
     """
     options, clock, tally = options or Options(), clock or Clock(), Tally()
-    _warn_about_view(database, camera, samples.shape[1])
+    _warn_about_view(database, camera, samples.raster.display.width)
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)

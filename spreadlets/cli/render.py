@@ -365,9 +365,10 @@ def reconstruct(
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
-    from spreadlets.files.exr_samples import read_samples, samples_files, samples_raster
+    from spreadlets.files.exr_samples import read_samples, samples_files
     from spreadlets.files.outputs import check_outputs
     from spreadlets.runtime.clock import Clock
+    from spreadlets.scene.raster import placed
 
     images.image_extension(output)
     check_outputs(
@@ -382,9 +383,10 @@ def reconstruct(
     image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
-    figures = _compared(image, truth)
+    raster = buffer.raster
+    figures = _compared(placed(image, raster.data, raster.display), truth)
     with clock.step("write"):
-        images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
+        images.write_image(output, image, raster=raster)
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
 
 

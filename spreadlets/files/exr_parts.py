@@ -259,3 +259,15 @@ def covered(image: Image, name: str, target: Window) -> BoolArray:
 def part_header() -> dict[str, Any]:
     """Return the header attributes that every flat part is written with."""
     return {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+
+
+def raster_header(raster: Raster, data: Window) -> dict[str, Any]:
+    """Return the header attributes that say where the pixels of a data window lie."""
+    header: dict[str, Any] = {"dataWindow": _box(data), "displayWindow": _box(raster.display)}
+    return header | {"pixelAspectRatio": float(raster.pixel_aspect)}
+
+
+def _box(window: Window) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return a window as the OpenEXR binding takes it: with an inclusive maximum."""
+    left, top, width, height = window
+    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)

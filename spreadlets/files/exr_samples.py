@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -11,6 +13,7 @@ import OpenEXR
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError
 from spreadlets.files.atomic import atomic_path
+from spreadlets.files.attributes import carry_attributes
 from spreadlets.files.exr_file import ExrFile, Source, library_messages
 from spreadlets.files.exr_parts import (
     Image,
@@ -19,12 +22,12 @@ from spreadlets.files.exr_parts import (
     gather,
     merged,
     part_header,
-    window,
+    raster_header,
 )
 from spreadlets.files.kinds import open_file
 from spreadlets.files.tlfr import HEADER_SUFFIX, is_tlfr, read_tlfr
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.raster import Raster
+from spreadlets.scene.raster import Window
 from spreadlets.scene.samples import SampleBuffer
 
 CHANNELS: Mapping[str, tuple[str, ...]] = {
@@ -62,7 +65,8 @@ def read_samples(path: Source, *, camera: ThinLens | None = None, repair: bool =
     Returns
     -------
     SampleBuffer
-        In the file's display window; samples outside the data window are missing.
+        In the file's data window, with its raster; of several windows in one that holds them all, where samples
+        outside their own are missing.
 
     Raises
     ------
@@ -100,15 +104,6 @@ def samples_files(path: PathLike) -> list[str]:
     return [os.fspath(path), name, name + HEADER_SUFFIX]
 
 
-def samples_raster(path: PathLike, shape: tuple[int, int]) -> Raster:
-    """Return where the pixels (H, W) lie that `read_samples` gives, and what the file's first header says besides."""
-    if is_tlfr(os.fspath(path).removesuffix(HEADER_SUFFIX)):
-        return Raster.of_shape(shape)
-    with ExrFile(path) as file:
-        display = window(file.headers[0]["displayWindow"])
-        return Raster(display, display, attributes=file.attributes[0])
-
-
 def write_samples(path: PathLike, samples: SampleBuffer) -> None:
     """Write a buffer of samples as OpenEXR so that `read_samples` gives it back; the file appears whole or not at all.
 
@@ -117,7 +112,7 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
     path : path
         Where to write; an existing file is replaced.
     samples : SampleBuffer
-        Stored as 32-bit floats, one part per sample.
+        Stored as 32-bit floats, one part per sample, with the windows, pixel aspect and attributes of its raster.
 
     Raises
     ------
@@ -145,9 +140,11 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
         if not samples.valid.all():
             channels[VALID] = samples.valid[:, :, index].astype(np.float32)
         stored = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-        parts.append(OpenEXR.Part({**part_header(), "name": f"sample{index}"}, stored))
+        header = part_header() | raster_header(samples.raster, samples.raster.data)
+        parts.append(OpenEXR.Part({**header, "name": f"sample{index}"}, stored))
     with atomic_path(path, ".exr") as temporary, library_messages():
         OpenEXR.File(parts).write(str(temporary))
+        carry_attributes(temporary, [samples.raster.attributes] * samples.n_samples)
 
 
 def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
@@ -165,28 +162,26 @@ def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
     there = [label for label, names in CHANNELS.items() if set(names) <= first.planes.keys()]
     for image in images.values():
         check_same_window(image, [*colours, *(name for label in there for name in CHANNELS[label])])
-    labels = {label: _stacked(images, CHANNELS[label]) for label in there}
+    windows = [image.raster("R").data for image in images.values()]
+    raster = replace(first.raster("R"), data=functools.reduce(Window.union, windows))
+    labels = {label: _stacked(images, CHANNELS[label], raster.data) for label in there}
     scalars = [label for label in there if len(CHANNELS[label]) == 1]
     labels |= {label: labels[label][..., 0] for label in scalars}
-    valid = np.stack([_there(image) for image in images.values()], axis=2)
+    valid = np.stack([_there(image, raster.data) for image in images.values()], axis=2)
     try:
-        return SampleBuffer(_stacked(images, colours), valid=valid, repair=repair, **labels)
+        return SampleBuffer(_stacked(images, colours, raster.data), valid=valid, raster=raster, repair=repair, **labels)
     except InvalidFrameError as error:
         raise InvalidFrameError(f"{file.path}: {error}") from None
 
 
-def _stacked(images: Mapping[str, Image], names: tuple[str, ...]) -> FloatArray:
-    """Return channels of all parts, (H, W, S, n)."""
-    display = next(iter(images.values())).display
-    result = np.empty((display.height, display.width, len(images), len(names)), np.float32)
-    for index, image in enumerate(images.values()):
-        result[:, :, index] = gather(image, names)
-    return result
+def _stacked(images: Mapping[str, Image], names: tuple[str, ...], target: Window) -> FloatArray:
+    """Return channels of all parts in a window, (H, W, S, n)."""
+    return np.stack([gather(image, names, target) for image in images.values()], axis=2)
 
 
-def _there(image: Image) -> BoolArray:
+def _there(image: Image, target: Window) -> BoolArray:
     """Return where a part has samples: inside its data window, and where it does not say otherwise."""
     if VALID in image.planes:
         check_same_window(image, ["R", VALID])
-        return gather(image, (VALID,))[..., 0] > 0
-    return covered(image, "R", image.display)
+        return gather(image, (VALID,), target)[..., 0] > 0
+    return covered(image, "R", target)

@@ -16,11 +16,11 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.files.atomic import atomic_path
 from spreadlets.files.attributes import FILE_ATTRIBUTES, WRITTEN_BY_LIBRARY, carry_attributes, chromaticities
 from spreadlets.files.exr_file import library_messages
-from spreadlets.files.exr_parts import part_header
+from spreadlets.files.exr_parts import part_header, raster_header
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import image_array
 from spreadlets.scene.primaries import to_rec_709
-from spreadlets.scene.raster import Raster, Window, placed
+from spreadlets.scene.raster import Raster, placed
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -113,8 +113,7 @@ def write_image(
     window = raster.written(image)
     stored = _stored(placed(image, raster.data, window), half)
     stored |= {name: placed(values, raster.data, window) for name, values in (channels or {}).items()}
-    header |= {"dataWindow": _box(window), "displayWindow": _box(raster.display)}
-    header |= {"pixelAspectRatio": float(raster.pixel_aspect)}
+    header |= raster_header(raster, window)
     with atomic_path(path, OPENEXR) as temporary, library_messages():
         OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in stored.items()}).write(
             str(temporary)
@@ -200,12 +199,6 @@ def _stored(image: FloatArray, half: bool) -> dict[str, npt.NDArray[Any]]:
     if half:
         return {name: np.clip(plane, -HALF_MAX, HALF_MAX).astype(np.float16) for name, plane in planes.items()}
     return planes
-
-
-def _box(window: Window) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return a window as the OpenEXR binding takes it: with an inclusive maximum."""
-    left, top, width, height = window
-    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)
 
 
 def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, str | int | float]:

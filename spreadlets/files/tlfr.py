@@ -117,13 +117,15 @@ def read_tlfr(file: BinaryIO, *, shutter: tuple[float, float] | None = None, rep
     return SampleBuffer(
         samples[..., 7:10],
         column["w"],
+        motion["motion"],
         lens_uv=lens,
         time=opens + column["t"] * (closes - opens),
         offset=np.stack([column["x"] - cols[..., None], column["y"] - rows[..., None]], axis=3) - np.float32(0.5),
         valid=valid,
         coc_radius=coc,
+        motion_prev=motion.get("motion_prev"),
+        motion_next=motion.get("motion_next"),
         repair=repair,
-        **motion,
     )
 
 
@@ -363,7 +365,7 @@ def _coc_coefficients(samples: SampleBuffer, camera: ThinLens | None) -> tuple[f
     if samples.coc_radius is None:
         if camera is None:
             raise InvalidParameterError("the buffer has no coc_radius; the CoC coefficients need the camera")
-        scale = camera.coc_scale(samples.shape[1])
+        scale = camera.coc_scale(samples.raster.display.width)
         return -scale, scale / camera.focus_distance_m
     inverse = 1 / np.minimum(samples.depth, FAR_W).astype(np.float64).ravel()
     radius = samples.coc_radius.astype(np.float64).ravel()

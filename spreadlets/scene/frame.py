@@ -181,7 +181,7 @@ class Frame:
         InvalidFrameError
             If the data window has another shape.
         """
-        _check_raster(raster, self.shape)
+        check_raster(raster, self.shape)
         return self._of([replace(layer, raster=raster) for layer in self.layers])
 
     def coloured(self, radiance: FloatArray) -> Frame:
@@ -362,7 +362,7 @@ def _converted_layer(
     # Give colours an alpha.
     height, width = colour.shape[:2]
     raster = raster or Raster.of_shape((height, width))
-    _check_raster(raster, (height, width))
+    check_raster(raster, (height, width))
     motion, motion_prev, motion_next = motions
     if colour.shape[2] == 3:
         colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
@@ -384,7 +384,8 @@ def _converted_layer(
     return Layer(colour, z, path, before, after, has_motion=bool(given), raster=raster)
 
 
-def _check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+def check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+    """Raise InvalidFrameError unless a raster's data window has the shape of the pixels (H, W)."""
     if raster.data.shape != shape:
         raise InvalidFrameError(f"the data window has the shape {raster.data.shape}, the pixels {shape}")
 
