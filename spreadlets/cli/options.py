@@ -222,6 +222,9 @@ def output_options(what: str, *further: Any) -> Callable[[Command], Command]:
     return cloup.option_group(
         "Output",
         cloup.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help=what),
+        cloup.option(
+            "--bit-depth", type=click.INT, metavar="BITS", help="8 (default) or 16 of .png and .tif, 32 or 16 of .exr."
+        ),
         cloup.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image."),
         *further,
     )

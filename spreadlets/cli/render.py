@@ -46,6 +46,7 @@ class _Job(NamedTuple):
     also: Sequence[str] = ()
     pass_through: bool = False
     output_coc: str | None = None
+    bit_depth: int | None = None
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
@@ -59,8 +60,6 @@ class _Job(NamedTuple):
             raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
         if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
             raise click.UsageError("--pass-through copies channels of the whole frame: leave --proxy and --region out")
-        if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
-            raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
         outputs = [self.output, *filter(None, [self.output_coc])]
         check_outputs(outputs, [*self.frames, *filter(None, (*others, self.rendering.get("mask")))])
 
@@ -109,6 +108,7 @@ def synth(
     also: str | None,
     pass_through: bool,
     output_coc: str | None,
+    bit_depth: int | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -120,6 +120,7 @@ def synth(
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
+    from spreadlets.files.images import OPENEXR, check_bit_depth, image_extension
     from spreadlets.files.sequence import is_pattern, listed, numbered
     from spreadlets.runtime.options import RENDER_OPTIONS
 
@@ -130,10 +131,13 @@ def synth(
     if shape:
         rendering["database"] = partial(_bokeh, shape, motion)
     layers = tuple(name.strip() for name in also.split(",")) if also else ()
+    check_bit_depth(output, bit_depth)
+    if image_extension(output) != OPENEXR and (layers or pass_through):
+        raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc)
+        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc, bit_depth)
         job.check()
         print_figures(_synthesise(job), as_json)
         return
@@ -148,7 +152,7 @@ def synth(
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
             radii = numbered(output_coc, number) if output_coc else None
-            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii)
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii, bit_depth)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
@@ -209,7 +213,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         with Renderer(element, chosen) as renderer:
             further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):
-        images.write_image(job.output, image, raster=raster, channels=further)
+        images.write_image(job.output, image, bit_depth=job.bit_depth, raster=raster, channels=further)
         if job.output_coc is not None and coc is not None:
             images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
@@ -238,14 +242,12 @@ def _chosen(
     frames: Sequence[str], others: Sequence[str], reads: Sequence[str], output: str, numbers: str | None
 ) -> list[int]:
     """Return which frames of a sequence to make, after checking that no result replaces a file that is read."""
-    from spreadlets.files.images import image_extension
     from spreadlets.files.outputs import check_outputs
     from spreadlets.files.sequence import listed, numbered, sequence_frames
 
     chosen, gaps = sequence_frames(frames, others, output, numbers)
     if gaps:
         warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
-    image_extension(output)
     check_outputs(
         [numbered(output, number) for number in chosen],
         {numbered(path, number) for path in reads for number in chosen},
@@ -350,6 +352,7 @@ def reconstruct(
     output: str,
     camera: str | None,
     reference: str | None,
+    bit_depth: int | None,
     spp: int | None,
     repair: bool,
     as_json: bool,
@@ -370,7 +373,7 @@ def reconstruct(
     from spreadlets.runtime.clock import Clock
     from spreadlets.scene.raster import placed
 
-    images.image_extension(output)
+    images.check_bit_depth(output, bit_depth)
     check_outputs(
         [output], [each for each in (*samples_files(samples), camera, reference, options["database"]) if each]
     )
@@ -386,7 +389,7 @@ def reconstruct(
     raster = buffer.raster
     figures = _compared(placed(image, raster.data, raster.display), truth)
     with clock.step("write"):
-        images.write_image(output, image, raster=raster)
+        images.write_image(output, image, bit_depth=bit_depth, raster=raster)
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
 
 
