@@ -29,6 +29,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import h5py
@@ -239,6 +240,7 @@ def write_tiles(path: Path, channels: dict[str, np.ndarray]) -> None:
     tiles = OpenEXR.TileDescription()
     tiles.xSize = tiles.ySize = TILE
     header = {"type": OpenEXR.tiledimage, "compression": OpenEXR.ZIP_COMPRESSION, "tiles": tiles}
+    header |= {"framesPerSecond": Fraction(24, 1), "expTime": 0.01, "owner": "nobody", "worldToCamera": np.eye(4)}
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}).write(str(path))
 
 

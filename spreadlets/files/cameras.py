@@ -299,8 +299,8 @@ class AttributeRow:
     pattern : str
         Regular expression of the attribute's whole name, in lower case.
     value : str
-        Parameter of `ThinLens`, or ``shutter_degrees``, ``field_of_view`` (horizontal, degrees), ``sensor_size`` or
-        ``film_width`` (mm or inches).
+        Parameter of `ThinLens`, or ``shutter_degrees``, ``exposure_s``, ``frames_per_s``, ``field_of_view``
+        (horizontal, degrees), ``sensor_size`` or ``film_width`` (mm or inches).
     factor : float
         What one unit is in the parameter's unit, or `SCENE`.
     """
@@ -319,6 +319,9 @@ ATTRIBUTES = (
     AttributeRow("focus", "focus_distance_m"),
     AttributeRow("sensoroveralldimensions", "sensor_size"),
     AttributeRow("shutterangle", "shutter_degrees"),
+    AttributeRow("exptime", "exposure_s"),
+    AttributeRow("capturerate", "frames_per_s"),
+    AttributeRow("framespersecond", "frames_per_s"),
     # Unreal's Movie Render Queue and Graph; distances in centimetres.
     AttributeRow(r"unreal/(camera/)?(.*/)?focallength", "focal_length_mm"),
     AttributeRow(r"unreal/(camera/)?(.*/)?fstop", "f_number"),
@@ -347,6 +350,10 @@ ATTRIBUTES = (
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(dof_?)?focus_?distance", "focus_distance_m", SCENE),
 )
 """Header attributes by program; the first row that a file has for a value counts."""
+
+SHUTTER_TIMING = "unreal/camera/shuttertiming"
+SHUTTER_CENTRES = {"FrameOpen": 0.5, "FrameCenter": 0.0, "FrameClose": -0.5}
+"""Where the frame's time lies in the time that the shutter is open, by Unreal's names: its middle, in that time."""
 
 NOTE_NAMES = ("note", "blendernote")
 
@@ -380,10 +387,12 @@ def attribute_values(header: Mapping[str, Any], scene_scale: float = 1.0) -> dic
         found.setdefault("sensor_width_mm", raw["film_width"] * (MM_PER_INCH if inches else 1))
     if "sensor_size" in raw:
         found.setdefault("sensor_width_mm", raw["sensor_size"])
-    # Turn angles into the shutter, and into what is missing of focal length and sensor.
-    if "shutter_degrees" in raw:
-        half = 0.5 * raw["shutter_degrees"] / DEGREES_PER_FRAME
-        found["shutter"] = (-half, half)
+    # Turn angles and times into the shutter, and into what is missing of focal length and sensor.
+    open_frames = raw.get("shutter_degrees", 0.0) / DEGREES_PER_FRAME
+    open_frames = open_frames or raw.get("exposure_s", 0.0) * raw.get("frames_per_s", 0.0)
+    if open_frames:
+        centre = SHUTTER_CENTRES.get(str(lowered.get(SHUTTER_TIMING)), 0.0)
+        found["shutter"] = ((centre - 0.5) * open_frames, (centre + 0.5) * open_frames)
     if 0 < raw.get("field_of_view", 0) < 180:
         ratio = 2 * math.tan(math.radians(raw["field_of_view"]) / 2)  # sensor's width over focal length
         if "sensor_width_mm" in found:

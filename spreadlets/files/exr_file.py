@@ -186,8 +186,9 @@ class ExrFile:
         try:
             with library_messages() as messages:
                 return OpenEXR.File(self._handle, separate_channels=True, header_only=header_only), messages
-        except LIBRARY_ERRORS:
-            raise InvalidFileError(f"{self.path}: is not a readable OpenEXR file{_detail(messages)}") from None
+        except LIBRARY_ERRORS as error:
+            said = messages if isinstance(error, RuntimeError) else [str(error)]
+            raise InvalidFileError(f"{self.path}: is not a readable OpenEXR file{_detail(said)}") from None
 
 
 Source = PathLike | ExrFile
