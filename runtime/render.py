@@ -242,9 +242,8 @@ def _add_plan(
             seen = None if visibility is None or last else visibility.seen(number)
             kind = LAST if last else COVERAGE if visibility is None else visibility.kind
             least = LEAST_SEEN if visibility is None else visibility.least
-            add_layer(
-                image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
-            )
+            seen = NOTHING if seen is None else seen
+            add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
         tally.add_canvas(canvas, image.shape)
     tally.add_plan(plan, len(used))
 

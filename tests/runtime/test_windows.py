@@ -36,18 +36,23 @@ def test_overscan_gives_the_result_of_the_wide_frame(small_combined):
     np.testing.assert_allclose(over, wide, atol=1e-5)
 
 
+@pytest.mark.parametrize("cut", [(48, 64), (47, 61), (41, 50), (38, 35)])
 @pytest.mark.parametrize("method", ["spreadlets", "dense"])
-def test_a_frame_cut_from_a_wider_one_with_overscan_gives_the_wide_result(small_combined, method):
-    height, width, cut = 208, 256, 64  # what is hidden is filled on a grid of powers of two
-    arrays = scene(height, width)
-    display = Window(112, 96, 32, 16)
-    options = Options(method=method)
+def test_a_frame_cut_from_a_wider_one_with_overscan_gives_the_wide_result(small_combined, method, cut):
+    height, width, (top, left) = 208, 256, cut
+    radiance, depth, motion = scene(height, width)
+    radiance[40:] = 0.5 + 0.4 * np.sin(np.mgrid[40:height, :width, :3].sum(axis=0) / 40)
+    depth[...], motion[...] = 12.0, 0.0  # and blocks of the wall are drawn as one
+    near = slice(80, 110), slice(115, 135)
+    depth[near], motion[near] = 1.6, (8, 3)
+    arrays, display = (radiance, depth, motion), Window(112, 96, 32, 16)
+    options, camera = Options(method=method), replace(CAMERA, f_number=0.15)
     wide_raster = Raster(Window(0, 0, width, height), display)
-    wide, _ = synthesize(Frame(*arrays, raster=wide_raster), CAMERA, small_combined, options)
-    inner = slice(cut, height - cut), slice(cut, width - cut)
-    raster = Raster(Window(cut, cut, width - 2 * cut, height - 2 * cut), display)
-    over, _ = synthesize(Frame(*(each[inner] for each in arrays), raster=raster), CAMERA, small_combined, options)
-    rows, columns = slice(96 - cut, 112 - cut), slice(112 - cut, 144 - cut)
+    wide, _ = synthesize(Frame(*arrays, raster=wide_raster), camera, small_combined, options)
+    inner = slice(top, height - top), slice(left, width - left)
+    raster = Raster(Window(left, top, width - 2 * left, height - 2 * top), display)
+    over, _ = synthesize(Frame(*(each[inner] for each in arrays), raster=raster), camera, small_combined, options)
+    rows, columns = slice(96 - top, 112 - top), slice(112 - left, 144 - left)
     difference = np.abs(over[rows, columns] - wide[inner][rows, columns]).max()
     assert difference < 1e-5
 
