@@ -40,6 +40,10 @@ class TableChoice(click.Choice[str]):
 
 json_option = cloup.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 
+bit_depth_option = cloup.option(
+    "--bit-depth", type=click.INT, metavar="BITS", help="8 (default) or 16 of .png and .tif, 32 or 16 of .exr."
+)
+
 input_options = cloup.option_group(
     "Reading the frame (what is not given is recognised)",
     cloup.option(
@@ -222,9 +226,7 @@ def output_options(what: str, *further: Any) -> Callable[[Command], Command]:
     return cloup.option_group(
         "Output",
         cloup.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help=what),
-        cloup.option(
-            "--bit-depth", type=click.INT, metavar="BITS", help="8 (default) or 16 of .png and .tif, 32 or 16 of .exr."
-        ),
+        bit_depth_option,
         cloup.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image."),
         *further,
     )

@@ -137,7 +137,9 @@ def synth(
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc, bit_depth)
+        job = _Job(
+            frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc, bit_depth
+        )
         job.check()
         print_figures(_synthesise(job), as_json)
         return

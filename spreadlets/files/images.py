@@ -155,8 +155,7 @@ def write_plane(path: PathLike, name: str, values: FloatArray, *, raster: Raster
         If the file cannot be written.
     """
     raster = raster or Raster.of_shape((values.shape[0], values.shape[1]))
-    header = {**part_header(), "dataWindow": _box(raster.data), "displayWindow": _box(raster.display)}
-    header |= {"pixelAspectRatio": float(raster.pixel_aspect)}
+    header = part_header() | raster_header(raster, raster.data)
     with atomic_path(path, OPENEXR) as temporary, library_messages():
         OpenEXR.File(header, {name: np.ascontiguousarray(values, np.float32)}).write(str(temporary))
 
