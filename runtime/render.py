@@ -147,7 +147,7 @@ def reconstruct(
     a layer is a hole in it.
     """
     options, clock, tally = options or Options(), clock or Clock(), Tally()
-    _warn_about_view(database, camera, samples.shape[1])
+    _warn_about_view(database, camera, samples.raster.display.width)
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
@@ -243,9 +243,8 @@ def _add_plan(
             seen = None if visibility is None or last else visibility.seen(number)
             kind = LAST if last else COVERAGE if visibility is None else visibility.kind
             least = LEAST_SEEN if visibility is None else visibility.least
-            add_layer(
-                image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
-            )
+            seen = NOTHING if seen is None else seen
+            add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
         tally.add_canvas(canvas, image.shape)
     tally.add_plan(plan, len(used))
 

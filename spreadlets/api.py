@@ -19,6 +19,7 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.doubts import sample_doubts
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
+from spreadlets.scene.squares import squared_samples, unsquared
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
@@ -265,15 +266,17 @@ def reconstruct(
     check_method(method, RECONSTRUCTION_METHODS)
     check_for_samples(options)
     _warn(sample_doubts(samples, camera))
-    camera = camera.fitted(samples.shape)
+    camera = camera.fitted(samples.raster.display.shape, samples.raster.pixel_aspect)
+    squares = squared_samples(samples)
     if settings and method not in LAYERED_METHODS:
         raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
     if method not in METHODS:
-        image, figures = _without_splatting(samples, camera, method, settings or {}, clock, options)
-        return (image, figures) if report else image
-    chosen = Options.of(**options)
-    with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
-        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, *full_psfs(opened, chosen))
+        image, figures = _without_splatting(squares, camera, method, settings or {}, clock, options)
+    else:
+        chosen = Options.of(**options)
+        with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
+            image, figures = render.reconstruct(squares, camera, opened, chosen, clock, *full_psfs(opened, chosen))
+    image = unsquared(image, samples.raster)
     return (image, figures) if report else image
 
 

@@ -15,6 +15,7 @@ from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_tim
 from spreadlets.runtime.label.surfaces import Surface, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
+from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
 
 Split = Callable[[Layer, ThinLens], Iterable[Surface]]
@@ -70,10 +71,7 @@ def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defo
     height, width = layer.shape
     coc, length = np.zeros((2, height, width), np.float32)
     shown = layer.raster.display.width
-    mm_per_px = camera.sensor_width_mm / shown
-    view = View(
-        layer.depth, camera.focal_length_mm / camera.sensor_width_mm * shown, mm_per_px, layer.raster.off_middle
-    )
+    view = _view(layer.depth, layer.raster, camera)
     if defocus:
         coc = coc_radii(layer.depth, camera, controls, shown)
     if not motion or not layer.has_motion:
@@ -83,6 +81,12 @@ def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defo
     for_bands(_label_kernels.path_lengths, len(length), path, length)
     labels = Labels(coc, path, length, shift, view)
     return rolled(layer, labels, camera)
+
+
+def _view(depth: Image, raster: Raster, camera: ThinLens) -> View:
+    """Return how the camera sees pixels, whose display window's width is the sensor's."""
+    mm_per_px = camera.sensor_width_mm / raster.display.width
+    return View(depth, camera.focal_length_mm / mm_per_px, mm_per_px, raster.off_middle)
 
 
 def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, motion: bool) -> list[Pixels]:
@@ -104,11 +108,12 @@ def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, mot
 
 def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labels:
     height, width = samples.shape
+    shown = samples.raster.display.width
     depth = np.ascontiguousarray(samples.depth[:, :, number])
     length = np.empty((height, width), np.float32)
     if samples.coc_radius is None:
         coc = np.empty((height, width), np.float32)
-        for_bands(_label_kernels.coc_radii, height, depth, camera.coc_scale(width), 1.0 / camera.focus_distance_m, coc)
+        for_bands(_label_kernels.coc_radii, height, depth, camera.coc_scale(shown), 1.0 / camera.focus_distance_m, coc)
     else:
         coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
     path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
@@ -116,5 +121,5 @@ def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labe
     since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
     shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
     shift -= samples.motion[:, :, number] * since_centre[..., None]
-    view = View(depth, camera.focal_length_mm / camera.sensor_width_mm * width, camera.sensor_width_mm / width)
+    view = _view(depth, samples.raster, camera)
     return Labels(coc, path, length, shift, view)

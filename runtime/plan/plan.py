@@ -64,6 +64,8 @@ class Plan:
     cells_used : set of int
     pixels_skipped : int
         Pixels that contribute nothing.
+    corner : tuple of int
+        Row and column of the first pixel, counted from the picture's centre.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
     left_out : list of str
@@ -77,6 +79,7 @@ class Plan:
     members: list[Membership]
     cells_used: set[int]
     pixels_skipped: int
+    corner: tuple[int, int]
     error_bound: float = 0.0
     left_out: list[str] = field(default_factory=list)
 
@@ -199,6 +202,7 @@ def plan_pixels(
         members=members,
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
         pixels_skipped=_count_skipped(pixel_sets, chosen.indices),
+        corner=pixel_sets[0].labels.view.corner,
         error_bound=error_bound,
     )
     plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
@@ -434,7 +438,8 @@ def _splat_passes(
     shifted = []
     for pixels, label, weight, colours in parts:
         if pixels.labels.shift is None:
-            yield extended_pass(SplatPass((0, 0), pixels.radiance, label), weight, table.reaches, colours)
+            whole = SplatPass((0, 0), pixels.radiance, label)
+            yield extended_pass(whole, weight, table.reaches, colours, pixels.labels.view.corner)
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at

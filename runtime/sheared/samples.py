@@ -70,7 +70,8 @@ class Samples:
         rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None, None], buffer.depth.shape)
         cols = np.broadcast_to(np.arange(width, dtype=np.float32)[None, :, None], buffer.depth.shape)
         place = _those(np.stack([cols, rows], axis=-1) + buffer.offset, there)
-        coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, width)
+        shown = buffer.raster.display.width
+        coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, shown)
         time = buffer.time - np.float32(camera.shutter_centre)
         samples = cls(
             colour=_those(buffer.radiance, there),

@@ -191,7 +191,7 @@ class Frame:
         InvalidFrameError
             If the data window has another shape.
         """
-        _check_raster(raster, self.shape)
+        check_raster(raster, self.shape)
         return self._of([replace(layer, raster=raster) for layer in self.layers])
 
     def coloured(self, radiance: FloatArray) -> Frame:
@@ -372,7 +372,7 @@ def _converted_layer(
     # Give colours an alpha.
     height, width = colour.shape[:2]
     raster = raster or Raster.of_shape((height, width))
-    _check_raster(raster, (height, width))
+    check_raster(raster, (height, width))
     motion, motion_prev, motion_next = motions
     if colour.shape[2] == 3:
         colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
@@ -408,7 +408,8 @@ def _with_depths(layer: Layer, depth_prev: npt.ArrayLike | None, depth_next: npt
     return replace(layer, depth_prev=before, depth_next=after)
 
 
-def _check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+def check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+    """Raise InvalidFrameError unless a raster's data window has the shape of the pixels (H, W)."""
     if raster.data.shape != shape:
         raise InvalidFrameError(f"the data window has the shape {raster.data.shape}, the pixels {shape}")
 
