@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels

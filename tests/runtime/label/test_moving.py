@@ -16,7 +16,7 @@ PICTURE[20, 30] = PICTURE[50, 44] = 30.0
 
 
 def lens(*keys, **settings):
-    return sp.ThinLens(85, 36, 1.4, 3.0, shutter=SHUTTER, keys=tuple(keys), **settings)
+    return sp.ThinLens(85, 36, 0.35, 3.0, shutter=SHUTTER, keys=tuple(keys), **settings)
 
 
 def plane(depth=5.0, **labels):
@@ -56,7 +56,7 @@ def test_what_comes_nearer_is_the_mean_of_its_moments():
 
 
 def test_an_iris_that_closes_changes_the_blur_alone():
-    camera = lens(sp.LensKey(-0.25, f_number=1.0), sp.LensKey(0.25, f_number=8.0))
+    camera = lens(sp.LensKey(-0.25, f_number=0.3), sp.LensKey(0.25, f_number=2.0))
     truth = np.mean([blurred(camera.at(t), 9.0) for t in TIMES], axis=0)
     assert inner_ssim(sp.synthesize(plane(9.0), camera), truth) > 0.995
 
