@@ -169,8 +169,13 @@ def _places(layer: Layer, time: float) -> Image:
     """Return where pixels are at a time, px (dx, dy) from where they are at the label's time."""
     if layer.motion_prev is None or layer.motion_next is None:
         return layer.motion * np.float32(time)
-    place = np.empty_like(layer.motion)
-    for_bands(_label_kernels.path_places, len(place), layer.motion_prev, layer.motion_next, time, place)
+    return curved_places(layer.motion_prev, layer.motion_next, np.full(layer.shape, time, np.float32))
+
+
+def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
+    """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
+    place = np.empty_like(before)
+    for_bands(_label_kernels.path_places, len(place), before, after, time, place)
     return place
 
 

@@ -12,7 +12,7 @@ from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.label.lists import Pixels, joined, listed
-from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled, zoomed
+from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, curved_places, in_time, rolled, zoomed
 from spreadlets.runtime.label.surfaces import Surface, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
@@ -117,10 +117,23 @@ def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labe
         for_bands(_label_kernels.coc_radii, height, depth, camera.coc_scale(shown), 1.0 / camera.focus_distance_m, coc)
     else:
         coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
-    path = samples.motion[:, :, number] * np.float32(camera.shutter_duration)
+    path, middle, now = _sample_places(samples, camera, number)
     for_bands(_label_kernels.path_lengths, len(length), path, length)
-    since_centre = samples.time[:, :, number] - np.float32(camera.shutter_centre)
-    shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number]
-    shift -= samples.motion[:, :, number] * since_centre[..., None]
+    shift = samples.offset[:, :, number] - coc[..., None] * samples.lens_uv[:, :, number] + middle - now
     view = _view(depth, samples.raster, camera)
     return Labels(coc, path, length, shift, view)
+
+
+def _sample_places(samples: SampleBuffer, camera: ThinLens, number: int) -> tuple[Image, Image, Image]:
+    """Return the paths of samples over the shutter, their middles, and where each was seen, all from the frame's time.
+
+    A curved path is drawn as its chord; its middle and the place at the sample's own time are on the curve.
+    """
+    time = np.ascontiguousarray(samples.time[:, :, number])
+    if samples.motion_prev is None or samples.motion_next is None:
+        motion = np.ascontiguousarray(samples.motion[:, :, number])
+        centre = motion * np.float32(camera.shutter_centre)
+        return motion * np.float32(camera.shutter_duration), centre, motion * time[..., None]
+    before, after = (np.ascontiguousarray(each[:, :, number]) for each in (samples.motion_prev, samples.motion_next))
+    begin, end = (curved_places(before, after, np.full_like(time, each)) for each in camera.shutter)
+    return end - begin, np.float32(0.5) * (begin + end), curved_places(before, after, time)
