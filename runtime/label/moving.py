@@ -32,7 +32,7 @@ MOST_STEPS = 128
 COC_STEP_PX = 0.5
 COC_STEP_SHARE = 0.06
 """Change of a CoC radius within a step: so many px, or so much of itself. Steps between are what cells are wide."""
-PLACE_STEP_SHARE = 0.25
+PLACE_STEP_SHARE = 0.1
 """Distance, in CoC radii and at least a pixel, of the places at which a PSF that does not move is drawn on its way."""
 
 
