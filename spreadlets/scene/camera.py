@@ -27,6 +27,16 @@ class LensKey:
         Frames, relative to the label's time.
     focal_length_mm, f_number, focus_distance_m : float, optional
         As for `ThinLens`; what is not given is not keyed at this time.
+
+    Raises
+    ------
+    InvalidCameraError
+        If the time is not a finite number.
+
+    Examples
+    --------
+    >>> sp.LensKey(-0.25, focus_distance_m=2.0).f_number is None
+    True
     """
 
     time: float
