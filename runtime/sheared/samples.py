@@ -31,10 +31,14 @@ class Samples:
     coc : ndarray of shape (N,), float32
         Signed radius of the circle of confusion, px: seen from the lens's centre at mid-shutter, the sample would be
         at ``place - coc * lens - motion * time``.
+    depth : ndarray of shape (N,), float32
+        Metres, > 0; infinite where a sample met nothing.
     first : ndarray of shape (H * W + 1,), int64
         The samples in pixel ``row * W + col`` are ``first[pixel]`` to ``first[pixel + 1] - 1``.
     shape : tuple of int
         Height and width of the image, px.
+    half_shutter : float
+        Frames from the middle of the shutter to where it opens or closes.
     """
 
     colour: FloatArray
@@ -43,8 +47,10 @@ class Samples:
     time: FloatArray
     motion: FloatArray
     coc: FloatArray
+    depth: FloatArray
     first: IntArray
     shape: tuple[int, int]
+    half_shutter: float
 
     @classmethod
     def from_buffer(
@@ -80,8 +86,10 @@ class Samples:
             time=_those(time, there),
             motion=_those(buffer.motion, there),
             coc=_those(coc, there),
+            depth=_those(buffer.depth, there),
             first=_first(buffer.valid.sum(axis=2)),
             shape=(height, width),
+            half_shutter=0.5 * (camera.shutter[1] - camera.shutter[0]),
         )
         return samples if defocus and motion else samples._without(defocus=defocus, motion=motion)
 
@@ -109,8 +117,10 @@ class Samples:
             time=self.time[order],
             motion=path[order],
             coc=coc[order],
+            depth=self.depth[order],
             first=_first(np.bincount(pixel, minlength=height * width)),
             shape=self.shape,
+            half_shutter=self.half_shutter,
         )
 
 

@@ -316,8 +316,9 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
         type=TableChoice("spreadlets.runtime.options", "RECONSTRUCTION_METHODS"),
         default="spreadlets",
         show_default=True,
-        help="dense and dense-rows draw PSFs in full; sheared to lrdm-ewa are layered reconstructions; mean is that of "
-        "each pixel's samples; bm3d and oidn denoise it with an optional package.",
+        help="dense and dense-rows draw PSFs in full; sheared to lrdm-ewa are layered reconstructions; tlfr has "
+        "exact visibility, and is slow; mean is that of each pixel's samples; bm3d and oidn denoise it with an "
+        "optional package.",
     ),
     cloup.option("--db", "database", help="Database: a file or a shipped name."),
     cloup.option("--spp", type=click.IntRange(min=1), help="Use so many samples of each pixel (default: all)."),
@@ -326,7 +327,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
         "assignments",
         multiple=True,
         metavar="NAME=VALUE",
-        help="A setting of a layered reconstruction, such as tile=64 or block=0; may be repeated.",
+        help="A setting of a method from sheared to tlfr, such as tile=64 or views=128; may be repeated.",
     ),
     cloup.option(
         "--denoise",
@@ -385,7 +386,9 @@ def reconstruct(
         buffer = read_samples(samples, camera=lens, repair=repair)
         truth = exr.read_image(reference) if reference else None
     given = buffer.take(spp) if spp else buffer
-    image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
+    settings = _assigned(assignments)
+    with progress_bar(os.path.basename(output), quiet=as_json) as progress:
+        image, report = make(given, lens, **options, settings=settings, report=True, clock=clock, progress=progress)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
     raster = buffer.raster
