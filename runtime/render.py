@@ -22,9 +22,11 @@ from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import Split, frame_pixels, sample_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
-from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
+from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
+from spreadlets.runtime.plan.divide import divide_frame
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import Report, Tally, plan_figures
@@ -52,6 +54,7 @@ def synthesize(
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
     split: Split = split_surfaces,
+    neighbours: Sequence[Frame] = (),
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -72,6 +75,8 @@ def synthesize(
         What makes the PSFs of highlights, at their own coordinates; without it they are drawn as all other pixels.
     split : callable, optional
         What divides mixed pixels between their surfaces.
+    neighbours : sequence of Frame
+        The frames right before or after, of one layer each: what they show of what is hidden in a frame of one layer.
 
     Returns
     -------
@@ -81,9 +86,9 @@ def synthesize(
 
     Notes
     -----
-    LKS section 6. A frame of one layer is divided into depth layers: what a nearer one hides of a farther one is
-    filled from what was seen of it. A frame that comes in layers is taken as it is, unless a number of depth layers is
-    asked for: then the pixels of all its layers are distributed anew.
+    LKS section 6. A frame of one layer is divided into depth layers, and what a nearer one hides of a farther one is
+    looked for, see `runtime.plan.behind`. A frame that comes in layers is taken as it is, unless a number of depth
+    layers is asked for: then the pixels of all its layers are distributed anew.
     """
     options, clock = options or Options(), clock or Clock()
     raster, frame = frame.raster, squared(frame)
@@ -100,19 +105,35 @@ def synthesize(
             clock, plan_figures(tally, database)
         )
     image = np.zeros((*frame.shape, 4), np.float32)
-    with clock.step("plan"):
-        given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
-    is_whole = len(given) > 1
-    if is_whole and options.layers is not None:
-        given = [[pixels for group in given for pixels in group]]
-    n_layers = options.layers or (1 if is_whole else MOST_LAYERS)
-    for number, group in enumerate(given):
+    draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
+    if len(shown) == 1:
         with clock.step("plan"):
-            plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf, exact_psf=exact_psf)
-            # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
-            closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
-            visibility = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
+            divided = divide_frame(
+                shown[0],
+                camera,
+                Effects(options.defocus, options.motion, database.grid.model.has_motion, options),
+                most=options.layers or MOST_LAYERS,
+                softness=FRAME_SOFTNESS if options.softness is None else options.softness,
+                split=split,
+                neighbours=[squared(each).layers[0] for each in neighbours],
+            )
+            plan = draw(divided.pixel_sets, n_layers=divided.layering.n_layers, layering=divided.layering)
+            visibility = None
+            if plan.n_layers > 1:
+                visibility = ShareBeyond(divided.pixel_sets, plan, divided.known, divided.n_hidden)
+            closed = is_opaque(shown[0].radiance)
         _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
+    else:
+        with clock.step("plan"):
+            given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
+        if options.layers is not None:
+            given = [[pixels for group in given for pixels in group]]
+        for number, group in enumerate(given):
+            with clock.step("plan"):
+                plan = draw(group, n_layers=options.layers or 1)
+                # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
+                closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
+            _add_plan(image, plan, None, _solver(options), clock, tally, closed=closed)
     image = _finished(image, frame.raster, raster, camera, database, options)
     return image, Report.of(clock, plan_figures(tally, database))
 

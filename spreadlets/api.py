@@ -33,6 +33,7 @@ def synthesize(
     camera: ThinLens,
     database: Database | Model | str | None = ...,
     *,
+    hidden_from: Frame | Sequence[Frame] = ...,
     report: Literal[False] = ...,
     clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
@@ -45,6 +46,7 @@ def synthesize(
     camera: ThinLens,
     database: Database | Model | str | None = ...,
     *,
+    hidden_from: Frame | Sequence[Frame] = ...,
     report: Literal[True],
     clock: Clock | None = ...,
     **options: Unpack[RenderOptions],
@@ -56,6 +58,7 @@ def synthesize(
     camera: ThinLens,
     database: Database | Model | str | None = None,
     *,
+    hidden_from: Frame | Sequence[Frame] = (),
     report: bool = False,
     clock: Clock | None = None,
     **options: Unpack[RenderOptions],
@@ -72,6 +75,10 @@ def synthesize(
         An open database, a path, or a shipped name; by default ``"combined"`` if anything moves, else
         ``"simplelens"``. For a model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built,
         and kept in this user's cache.
+    hidden_from : Frame or sequence of Frame
+        The frames of the sequence right before or after, or both, with the motion of their pixels. What is hidden in a
+        frame of one layer, behind something near, is taken from where it was seen in them, and else guessed. Which
+        frame comes before follows from where its colours fit better.
     method : {"spreadlets", "dense", "dense-rows", "gather"}
         Sparse Laplacian splatting; the same PSFs drawn in full (the quality ceiling), pixel by pixel or as differences
         along rows that are summed up at the end; or filtering with the PSF of the receiving pixel.
@@ -88,10 +95,11 @@ def synthesize(
         pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display. The other
         methods always treat every pixel by itself.
     layers : int, optional
-        Number of global depth layers, in equal steps of CoC. By default a frame that comes in layers keeps them, and
-        any other is divided into 4; 1 draws all pixels into one image and normalises it by accumulated weight.
+        Depth layers, at most. By default a frame that comes in layers keeps them, and any other is divided into as many
+        as it needs, at most 12; 1 draws all pixels into one image and normalises it by accumulated weight.
     softness : float, optional
-        Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft, the default).
+        Width of the transition between depth layers, in layers: 0 (hard, the default of a frame) to 1 (soft, that of
+        samples).
     firefly_clamp : float, optional
         How many times as bright as any other within a pixel of where it comes from a pixel, or a sample, may be, 1 or
         more. In synthesis by default any, since a single pixel may be a true highlight; in reconstruction 32, and
@@ -127,8 +135,8 @@ def synthesize(
     Raises
     ------
     InvalidParameterError
-        If the method or the integrator is unknown, a parameter is out of its range, or the database knows no
-        vignetting.
+        If the method or the integrator is unknown, a parameter is out of its range, the database knows no vignetting,
+        or nothing can be taken from ``hidden_from``.
     InvalidDatabaseError
         If the database cannot be used.
 
@@ -153,7 +161,7 @@ def synthesize(
     >>> report.plan.cells_total, "motion" in report.plan.left_out
     (100, True)
     """
-    with Renderer(frame, database) as renderer:
+    with Renderer(frame, database, hidden_from=hidden_from) as renderer:
         image, figures = renderer.render(camera, report=True, clock=clock, **options)
     return (image, figures) if report else image
 

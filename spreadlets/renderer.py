@@ -14,7 +14,7 @@ import numpy as np
 
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.bokeh import BokehCache, Progress
-from spreadlets.errors import AmbiguousInputWarning, LeftOutError
+from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, LeftOutError
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database
@@ -57,6 +57,10 @@ class Renderer:
         ``"simplelens"``. What is not open is opened when it is first needed, and closed with the renderer. For a
         model, such as ``spreadlets.models.Combined(blades=6)``, what the frame needs is built, and kept in this user's
         cache.
+    hidden_from : Frame or sequence of Frame
+        The frames of the sequence right before or after, or both, with the motion of their pixels. What is hidden in a
+        frame of one layer, behind something near, is taken from where it was seen in them, and else guessed. Which
+        frame comes before follows from where its colours fit better.
     progress : callable, optional
         Told the numbers of spreadlets that are built and of all, and of the seconds left, while a model is built.
 
@@ -82,11 +86,14 @@ class Renderer:
         frame: Frame | Sequence[Frame],
         database: Database | Model | str | None = None,
         *,
+        hidden_from: Frame | Sequence[Frame] = (),
         progress: Progress | None = None,
     ) -> None:
         from spreadlets.runtime.label.surfaces import KeptSurfaces
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
+        self._neighbours = [hidden_from] if isinstance(hidden_from, Frame) else list(hidden_from)
+        _check_neighbours(self._neighbours, self.frame)
         self._database = database
         self._bokeh = BokehCache(database, progress) if isinstance(database, Model) else None
         self._opened: list[Database] = []
@@ -138,6 +145,10 @@ class Renderer:
         from spreadlets.runtime.options import Options
 
         chosen = Options.of(**options)
+        if self._neighbours and (chosen.layers == 1 or chosen.method == "gather"):
+            raise InvalidParameterError(
+                "hidden_from is for a frame that is divided by depth: not with layers=1, nor with the method 'gather'"
+            )
         camera = self._focused(camera, chosen)
         _warn(frame_doubts(self.frame, camera))
         image, figures = self._synthesized(camera, chosen, clock)
@@ -261,7 +272,8 @@ class Renderer:
             database = self._open(options.motion and any(layer.has_motion for layer in frame.layers))
         try:
             psfs = full_psfs(database, options)
-            image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split)
+            neighbours = [smaller(each, options.proxy) for each in self._neighbours]
+            image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split, neighbours)
         except LeftOutError as error:
             if self._bokeh is None:
                 raise
@@ -324,6 +336,22 @@ class Renderer:
                 bokeh.add(places)
                 # Other threads may still read the one before.
                 self._current = None
+
+
+def _check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
+    """Raise InvalidParameterError if nothing can be taken from the neighbouring frames of another."""
+    if neighbours and len(frame.layers) > 1:
+        raise InvalidParameterError("hidden_from is for a frame of one layer; what is hidden is known of one in layers")
+    for number, each in enumerate(neighbours):
+        if len(each.layers) > 1:
+            raise InvalidParameterError(
+                f"hidden_from has a frame of {len(each.layers)} layers (number {number}); give frames of one"
+            )
+        if each.raster != frame.raster:
+            raise InvalidParameterError(
+                f"hidden_from has a frame (number {number}) of {each.shape[0]} x {each.shape[1]} px, but the frame has "
+                f"{frame.shape[0]} x {frame.shape[1]}, or their data windows differ; give frames of one sequence"
+            )
 
 
 def default_database(moving: bool) -> str:

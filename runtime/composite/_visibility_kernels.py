@@ -83,6 +83,28 @@ def add_listed_cover(variant, layer, farther, radiance, weight, at, number, near
 
 
 @kernel
+def take_hidden(variant, layer, farther, radiance, weight, at, number, beyond):
+    """Take off ``beyond`` what a list of hidden pixels would cover in a layer; arguments as for `add_listed_cover`."""
+    for i in range(variant.shape[0]):
+        for j in range(variant.shape[1]):
+            if variant[i, j] >= 0:
+                own = _share_before(layer[i, j], farther[i, j], number + 1)
+                own -= _share_before(layer[i, j], farther[i, j], number)
+                beyond[at[i, j, 0], at[i, j, 1]] -= radiance[i, j, 3] * weight[i, j] * own
+
+
+@kernel
+def count_known(begin, end, known, number, nearer, beyond):
+    """Where a layer is known, ``known`` (H, W), uint64, count what nearer ones hide of it to what lies beyond."""
+    bit = np.uint64(1) << np.uint64(number)
+    for row in range(begin, end):
+        for col in range(known.shape[1]):
+            if known[row, col] & bit:
+                beyond[row, col] += nearer[row, col]
+                nearer[row, col] = np.float32(0.0)
+
+
+@kernel
 def scatter_passing(members, number, sample, moments, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 

@@ -59,25 +59,47 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
     return Moments(coc, coc_squared, length_squared, (x, y))
 
 
-def share_beyond(pixel_sets: Sequence[tuple[Membership, Pixels]], number: int, moments: Moments) -> Image:
+class Cover(NamedTuple):
+    """What the pixels of a frame cover.
+
+    Attributes
+    ----------
+    seen : sequence of (members, pixels)
+        Their weights and alphas are the shares that they cover.
+    hidden : sequence of (members, pixels)
+        Lists; what they would cover if nothing were nearer.
+    known : ndarray of shape (H, W), uint64
+        Bits of the layers in which nothing of a pixel is unknown, even where nearer ones hide it.
+    """
+
+    seen: Sequence[tuple[Membership, Pixels]]
+    hidden: Sequence[tuple[Membership, Pixels]]
+    known: npt.NDArray[np.uint64]
+
+
+def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     """Return how much of what a layer leaves lies beyond it, blurred as the layer is, shape (H, W).
 
     Parameters
     ----------
-    pixel_sets : sequence of (members, pixels)
-        All that are drawn of a frame; their weights and alphas are the shares that they cover.
+    cover : Cover
     number : int
     moments : Moments
         Of the layer.
     """
-    nearer, beyond = np.zeros((2, *pixel_sets[0][1].labels.view.frame_shape), np.float32)
+    nearer, beyond = np.zeros((2, *cover.known.shape), np.float32)
     beyond += 1.0
-    for members, pixels in pixel_sets:
-        cover, places = (pixels.radiance, pixels.weight), pixels.labels.view.places
+    for members, pixels in cover.seen:
+        shares, places = (pixels.radiance, pixels.weight), pixels.labels.view.places
         if places is None:
-            for_bands(_visibility_kernels.add_cover, len(beyond), *members, *cover, number, nearer, beyond)
+            for_bands(_visibility_kernels.add_cover, len(beyond), *members, *shares, number, nearer, beyond)
         else:
-            _visibility_kernels.add_listed_cover(*members, *cover, places.at, number, nearer, beyond)
+            _visibility_kernels.add_listed_cover(*members, *shares, places.at, number, nearer, beyond)
+    for members, pixels in cover.hidden:
+        assert pixels.labels.view.places is not None, "what is hidden is a list"
+        at = pixels.labels.view.places.at
+        _visibility_kernels.take_hidden(*members, pixels.radiance, pixels.weight, at, number, beyond)
+    for_bands(_visibility_kernels.count_known, len(beyond), cover.known, number, nearer, beyond)
     blur = moments.disc_radius(), moments.motion
     nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), *blur) for each in (nearer, beyond))
     return np.asarray(beyond / np.maximum(nearer + beyond, LEAST_REST), np.float32)

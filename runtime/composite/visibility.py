@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.runtime.composite import layers
@@ -21,13 +22,26 @@ LEAST_SAMPLES = 4.0
 
 
 class ShareBeyond:
-    """Of what each layer leaves of the pixels of a frame, how much lies beyond it and is not hidden by nearer ones."""
+    """Of what each layer leaves of the pixels of a frame, how much lies beyond it and is not hidden by nearer ones.
+
+    Parameters
+    ----------
+    pixel_sets : sequence of Pixels
+    plan : Plan
+        Of them.
+    known : ndarray of shape (H, W), uint64
+        Bits of the layers in which each pixel is known, see `runtime.plan.behind.Behind`.
+    n_hidden : int
+        Lists, at the end, of hidden pixels.
+    """
 
     kind = REST
     least = LEAST_SEEN
 
-    def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan) -> None:
-        self.pixel_sets = list(zip(plan.members, pixel_sets, strict=True))
+    def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan, known: npt.NDArray[np.uint64], n_hidden: int) -> None:
+        covers = list(zip(plan.members, pixel_sets, strict=True))
+        n_seen = len(covers) - n_hidden
+        self.cover = layers.Cover(covers[:n_seen], covers[n_seen:], known)
         self.moments = layers.layer_moments(
             [(each.labels, each.labels.path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,
@@ -36,7 +50,7 @@ class ShareBeyond:
     def seen(self, number: int) -> Image | None:
         """Return the share beyond a layer of what it leaves, all blurred as the layer is."""
         moments = self.moments[number]
-        return None if moments is None else layers.share_beyond(self.pixel_sets, number, moments)
+        return None if moments is None else layers.share_beyond(self.cover, number, moments)
 
 
 class PassingSamples:

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from spreadlets.compiled import helper, kernel
 
 REACH = 2
@@ -12,6 +14,11 @@ SMOOTHNESS = 0.05
 """The same for pixels that are taken for no blend: those of a blend's neighbours along an edge may be as close."""
 PURITY = 0.98
 """Share of a surface from which a pixel's depth is that of the surface."""
+
+NOTHING_REACH = 4
+"""The same for a pixel with nothing in it: half a filter from the edge of a thing half a filter thick."""
+CLEAR_ALPHA = 0.1
+"""Alpha from which a pixel's depth tells that of its surface when nothing is behind it."""
 
 
 @helper
@@ -119,3 +126,86 @@ def undo_filter(begin, end, depth, place, alpha, gap, source, share):
             chosen = near if (part < 0.5 and not whole) or alpha[far] == 0.0 else far
             source[row, col, 0], source[row, col, 1] = chosen
             share[row, col] = -1.0 if whole else 1.0 - part
+
+
+@helper
+def _depth_of_nothing(depth, alpha, row, col):
+    """Return the depth of the nearest pixel without a surface, NaN if there is none within reach."""
+    height, width = depth.shape
+    found, nearest = np.nan, math.inf
+    for i in range(max(row - NOTHING_REACH, 0), min(row + NOTHING_REACH + 1, height)):
+        for j in range(max(col - NOTHING_REACH, 0), min(col + NOTHING_REACH + 1, width)):
+            distance = (i - row) ** 2 + (j - col) ** 2
+            if alpha[i, j] == 0.0 and distance < nearest:
+                found, nearest = np.float64(depth[i, j]), distance
+    return found
+
+
+@kernel
+def take_nothing_out(begin, end, depth, alpha, surface):
+    """Fill ``surface`` (H, W), float32, with the depth of what covers a pixel, or a part of it with nothing behind.
+
+    Such a depth, if it is filtered, is the surface's times alpha and what stands for nothing times the rest. NaN where
+    that cannot be told: where no empty pixel is near, and from an alpha below `CLEAR_ALPHA`.
+    """
+    for row in range(begin, end):
+        for col in range(depth.shape[1]):
+            part = np.float64(alpha[row, col])
+            surface[row, col] = depth[row, col] if part == 1.0 else np.nan
+            if CLEAR_ALPHA <= part < 1.0:
+                behind = _depth_of_nothing(depth, alpha, row, col)
+                surface[row, col] = (depth[row, col] - (1.0 - part) * behind) / part
+
+
+@kernel
+def count_element_depths(begin, end, depth, surface, counts):
+    """Count the neighbours along each row whose depths, or surfaces' depths, are the more alike.
+
+    Parameters
+    ----------
+    depth, surface : ndarray of shape (H, W), float32
+        See `take_nothing_out`.
+    counts : ndarray of shape (H, 2), int64
+        Filled: those for point samples, and those for filtered depth.
+    """
+    for row in range(begin, end):
+        counts[row, 0] = counts[row, 1] = 0
+        for col in range(1, depth.shape[1]):
+            as_point = abs(depth[row, col] - depth[row, col - 1])
+            as_filtered = abs(surface[row, col] - surface[row, col - 1])
+            if not math.isfinite(as_point + as_filtered) or as_point == as_filtered:
+                continue
+            counts[row, 1 if as_filtered < as_point else 0] += 1
+
+
+@kernel
+def mend_element(begin, end, depth, alpha, surface, source, mended):
+    """Give the parts of pixels with nothing behind their surface's depth.
+
+    Parameters
+    ----------
+    depth, alpha, surface : ndarray of shape (H, W), float32
+        See `take_nothing_out`.
+    source : ndarray of shape (H, W, 2), int32
+        Filled with row and column of the pixel that tells a pixel's labels: the one of the largest alpha near it.
+    mended : ndarray of shape (H, W), float32
+        Filled with the depths.
+    """
+    height, width = depth.shape
+    for row in range(begin, end):
+        for col in range(width):
+            source[row, col, 0], source[row, col, 1] = row, col
+            mended[row, col] = depth[row, col]
+            if not 0.0 < alpha[row, col] < 1.0:
+                continue
+            most, best = (row, col), alpha[row, col]
+            for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+                for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+                    if alpha[i, j] > best and not math.isnan(surface[i, j]):
+                        most, best = (i, j), alpha[i, j]
+            source[row, col, 0], source[row, col, 1] = most
+            own = surface[row, col] if not math.isnan(surface[row, col]) else surface[most]
+            if 0.0 < own < depth[row, col]:
+                mended[row, col] = own
+            elif alpha[most] == 1.0:
+                mended[row, col] = depth[most]

@@ -29,6 +29,15 @@ LAMP_RATIO = 4.0
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
 
+WINDOW_WEIGHT = np.exp(-0.5 * np.add.outer(np.arange(-REACH, REACH + 1) ** 2, np.arange(-REACH, REACH + 1) ** 2))
+"""How much a pixel's surroundings tell of the surfaces in it, by their place around it."""
+GRADIENT_WEIGHT = np.sqrt(WINDOW_WEIGHT)
+"""The same for the direction of an edge."""
+COLOUR_WEIGHT = 1.0 / (
+    1.0 + 0.25 * np.add.outer(*2 * [np.arange(-COLOUR_REACH, COLOUR_REACH + 1, dtype=np.float64) ** 2])
+)
+"""The same for the colours of surfaces."""
+
 
 @kernel
 def find_purity(begin, end, place, gap, purity):
@@ -57,84 +66,111 @@ def _surfaces_around(place, row, col, gap, spare, bounds):
     those that have most of the window, nearer pixels counting more.
     """
     height, width = place.shape
-    values, weights = spare
+    low, high, weight, best = spare
     n = 0
     for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
         for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
-            each, k = place[i, j], n
+            each = place[i, j]
             if each == math.inf:
                 continue
-            weight = math.exp(-0.5 * ((i - row) ** 2 + (j - col) ** 2))
-            # Sort by insertion.
-            while k > 0 and values[k - 1] > each:
-                values[k], weights[k] = values[k - 1], weights[k - 1]
-                k -= 1
-            values[k], weights[k] = each, weight
-            n += 1
+            # Join what the place is less than a gap from.
+            first = n
+            for k in range(n - 1, -1, -1):
+                if not (each - high[k] < gap and low[k] - each < gap):
+                    continue
+                if first == n:
+                    low[k], high[k] = min(low[k], each), max(high[k], each)
+                    first = k
+                    continue
+                low[k], high[k] = min(low[k], low[first]), max(high[k], high[first])
+                weight[k] += weight[first]
+                n -= 1
+                low[first], high[first], weight[first] = low[n], high[n], weight[n]
+                first = k
+            if first == n:
+                low[n], high[n], weight[n] = each, each, 0.0
+                n += 1
+            weight[first] += WINDOW_WEIGHT[i - row + REACH, j - col + REACH]
     for s in range(MOST):
-        bounds[s, 0], bounds[s, 1] = math.inf, -math.inf
-    best = np.zeros(MOST)
-    first, weight = 0, 0.0
+        bounds[s, 0], bounds[s, 1], best[s] = math.inf, -math.inf, 0.0
     for k in range(n):
-        weight += weights[k]
-        if k + 1 < n and values[k + 1] - values[k] < gap:
-            continue
-        score = math.inf if values[first] <= place[row, col] <= values[k] else weight
-        low, high = values[first], values[k]
+        score = math.inf if low[k] <= place[row, col] <= high[k] else weight[k]
         for s in range(MOST):
             if score > best[s]:
                 score, best[s] = best[s], score
-                low, bounds[s, 0] = bounds[s, 0], low
-                high, bounds[s, 1] = bounds[s, 1], high
-        first, weight = k + 1, 0.0
-    return int((best > 0.0).sum())
+                low[k], bounds[s, 0] = bounds[s, 0], low[k]
+                high[k], bounds[s, 1] = bounds[s, 1], high[k]
+    return min(n, MOST)
 
 
 @helper
-def _edge_share(place, row, col, low, high, inside):
-    """Return how much of a pixel the places from ``low`` to ``high`` cover, by their mean along the edge.
+def _number_surfaces(place, row, col, bounds, count, which):
+    """Fill ``which`` (n, n), int8, with the number of the surface that each pixel around one is of, -1 for others."""
+    height, width = place.shape
+    half = len(which) // 2
+    for i in range(len(which)):
+        y = min(max(row + i - half, 0), height - 1)
+        for j in range(len(which)):
+            each, found = place[y, min(max(col + j - half, 0), width - 1)], -1
+            for s in range(count):
+                if bounds[s, 0] <= each <= bounds[s, 1]:
+                    found = s
+            which[i, j] = found
+
+
+@helper
+def _edge_share(which, number, near):
+    """Return how much of a pixel a surface covers, by its mean along the edge.
 
     Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
     filter about 2 px wide shows it. The direction is that of the least change around the pixel (structure tensor).
     """
-    height, width = place.shape
-    side = inside.shape[0]
-    half = side // 2
     # Mark what is inside.
-    for i in range(side):
-        for j in range(side):
-            each = place[min(max(row + i - half, 0), height - 1), min(max(col + j - half, 0), width - 1)]
-            inside[i, j] = 1.0 if low <= each <= high else 0.0
+    half = len(which) // 2
+    total_inside = 0
+    for i in range(7):
+        for j in range(7):
+            near[i, j] = which[half - 3 + i, half - 3 + j] == number
+            total_inside += near[i, j]
+    if total_inside == 0 or total_inside == 49:
+        return np.float64(near[3, 3])
     # Sum up the structure tensor of the marks (Sobel gradients).
     xx = yy = xy = 0.0
-    for i in range(half - 2, half + 3):
-        for j in range(half - 2, half + 3):
-            right = inside[i - 1, j + 1] + 2.0 * inside[i, j + 1] + inside[i + 1, j + 1]
-            left = inside[i - 1, j - 1] + 2.0 * inside[i, j - 1] + inside[i + 1, j - 1]
-            below = inside[i + 1, j - 1] + 2.0 * inside[i + 1, j] + inside[i + 1, j + 1]
-            above = inside[i - 1, j - 1] + 2.0 * inside[i - 1, j] + inside[i - 1, j + 1]
-            weight = math.exp(-0.25 * ((i - half) ** 2 + (j - half) ** 2))
-            xx += weight * (right - left) ** 2
-            yy += weight * (below - above) ** 2
-            xy += weight * (right - left) * (below - above)
+    for i in range(1, 6):
+        for j in range(1, 6):
+            falling = near[i + 1, j + 1] - near[i - 1, j - 1]
+            rising = near[i - 1, j + 1] - near[i + 1, j - 1]
+            across = falling + rising + 2 * (near[i, j + 1] - near[i, j - 1])
+            down = falling - rising + 2 * (near[i + 1, j] - near[i - 1, j])
+            weight = GRADIENT_WEIGHT[i - 1, j - 1]
+            xx += weight * (across * across)
+            yy += weight * (down * down)
+            xy += weight * (across * down)
     if xx + yy == 0.0:
-        return inside[half, half]
+        return np.float64(near[3, 3])
     # Turn into the direction of least change, and filter the longer, the straighter the edge is.
     coherence = math.hypot(xx - yy, 2.0 * xy) / (xx + yy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
     step_row, step_col = math.sin(angle), math.cos(angle)
-    deviation = ALONG * coherence**2 + ACROSS
+    falloff = math.exp(-0.5 / (ALONG * coherence**2 + ACROSS) ** 2)
     # Filter along it, with bilinear interpolation.
-    total = share = 0.0
+    total, share = 0.0, 0.0
     for step in range(1 - half, half):
-        weight = math.exp(-0.5 * (step / deviation) ** 2)
+        weight = falloff ** (step * step)
         y, x = half + step * step_row, half + step * step_col
         i, j = int(y), int(x)
         down, across = y - i, x - j
-        upper = inside[i, j] + across * (inside[i, j + 1] - inside[i, j])
-        lower = inside[i + 1, j] + across * (inside[i + 1, j + 1] - inside[i + 1, j])
+        inside = 0.0
+        if which[i, j] == number:
+            inside += (1.0 - down) * (1.0 - across)
+        if which[i, j + 1] == number:
+            inside += (1.0 - down) * across
+        if which[i + 1, j] == number:
+            inside += down * (1.0 - across)
+        if which[i + 1, j + 1] == number:
+            inside += down * across
         total += weight
-        share += weight * (upper + down * (lower - upper))
+        share += weight * inside
     return share / total
 
 
@@ -145,39 +181,45 @@ def _brightness(colour):
 
 
 @helper
-def _add_colours(place, radiance, purity, row, col, bounds, count, sums):
+def _add_colours(radiance, weights, row, col, which, count, sums):
     """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns.
 
     Next to a lamp, the lamp's light in a surface's pixels may be far more than their own. So those that are many times
     brighter than the geometric mean of the surface's pixels count little.
     """
-    height, width = place.shape
+    purity, power, log_light = weights
+    height, width = purity.shape
+    middle = len(which) // 2
     sums[:] = 0.0
     for part in range(2):
         for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
             for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
-                for s in range(count):
-                    if not bounds[s, 0] <= place[i, j] <= bounds[s, 1]:
-                        continue
-                    # Weight a pixel of the surface by nearness and purity.
-                    near = 1.0 / (1.0 + 0.25 * ((i - row) ** 2 + (j - col) ** 2))
-                    weight = near * np.float64(purity[i, j]) ** PURITY_POWER
-                    light = _brightness(radiance[i, j])
-                    # First sum: the geometric mean of brightness.
-                    if part == 0:
-                        sums[s, 11] += weight
-                        sums[s, 12] += weight * math.log(light + NEGLIGIBLE)
-                        continue
-                    # Second sum: moments of colour, in which much brighter pixels count little.
-                    usual = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
-                    weight /= 1.0 + max(light / usual - 1.0, 0.0) ** 2
-                    sums[s, 0] += weight
-                    sums[s, 1] += near
-                    sums[s, 2] += weight * purity[i, j]
-                    for c in range(4):
-                        value = np.float64(radiance[i, j, c])
-                        sums[s, 3 + c] += weight * value
-                        sums[s, 7 + c] += weight * value * value
+                s = which[i - row + middle, j - col + middle]
+                if s < 0:
+                    continue
+                # Weight a pixel of the surface by nearness and purity.
+                near = COLOUR_WEIGHT[i - row + COLOUR_REACH, j - col + COLOUR_REACH]
+                weight = near * power[i, j]
+                # First sum: the geometric mean of brightness.
+                if part == 0:
+                    sums[s, 11] += weight
+                    sums[s, 12] += weight * log_light[i, j]
+                    continue
+                # Second sum: moments of colour, in which pixels much brighter than usual, by now the last column,
+                # count little.
+                excess = _brightness(radiance[i, j]) / sums[s, 12] - 1.0
+                if excess > 0.0:
+                    weight /= 1.0 + excess**2
+                sums[s, 0] += weight
+                sums[s, 1] += near
+                sums[s, 2] += weight * purity[i, j]
+                for c in range(4):
+                    value = np.float64(radiance[i, j, c])
+                    sums[s, 3 + c] += weight * value
+                    sums[s, 7 + c] += weight * value * value
+        if part == 0:
+            for s in range(count):
+                sums[s, 12] = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
 
 
 @helper
@@ -294,7 +336,16 @@ def _is_mixed(place, row, col, gap):
 
 
 @kernel
-def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share, colours):
+def weigh_colours(begin, end, radiance, purity, power, log_light):
+    """Fill ``power`` and ``log_light`` (H, W), float32, with how much each pixel counts and how bright it is."""
+    for row in range(begin, end):
+        for col in range(purity.shape[1]):
+            power[row, col] = np.float64(purity[row, col]) ** PURITY_POWER
+            log_light[row, col] = math.log(_brightness(radiance[row, col]) + NEGLIGIBLE)
+
+
+@kernel
+def divide_pixels(begin, end, place, radiance, weights, known, gap, source, share, colours):
     """Explain each pixel by up to `MOST` surfaces around it, its own first.
 
     Parameters
@@ -302,8 +353,8 @@ def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share
     place : ndarray of shape (H, W), float32
         Where surfaces lie in depth, as CoC radii, px; infinite where there is nothing.
     radiance : ndarray of shape (H, W, 4), float32
-    purity : ndarray of shape (H, W), float32
-        See `find_purity`.
+    weights : tuple of three ndarrays of shape (H, W), float32
+        See `find_purity` and `weigh_colours`.
     known : ndarray of shape (H, W), float32
         Share of the nearer of two surfaces where the depth tells it, else -1.
     gap : float
@@ -321,7 +372,8 @@ def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share
         Number of pixels with more than one surface.
     """
     window = (2 * REACH + 1) ** 2
-    spare, inside, bounds = (np.empty(window), np.empty(window)), np.empty((13, 13)), np.empty((MOST, 2))
+    spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
+    which, near = np.empty((13, 13), np.int8), np.empty((7, 7), np.int64)
     sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
     each, trust = np.empty(MOST), np.ones(MOST)
     mixed = 0
@@ -341,17 +393,18 @@ def divide_pixels(begin, end, place, radiance, purity, known, gap, source, share
             # Guess their shares by the edge, or take those that a filtered depth told.
             each[:] = 0.0
             total = 0.0
+            _number_surfaces(place, row, col, bounds, count, which)
             for s in range(count):
-                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], inside)
+                each[s] = _edge_share(which, s, near)
                 total += each[s]
             each /= total
-            _find_sources(place, purity, row, col, bounds, count, source[row, col], trust)
+            _find_sources(place, weights[0], row, col, bounds, count, source[row, col], trust)
             if count == 2 and known[row, col] >= 0.0:
                 nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
                 trust[1] = TRUST_DEPTH
             # Fit the shares to the pixel's colour.
-            _add_colours(place, radiance, purity, row, col, bounds, count, sums)
+            _add_colours(radiance, weights, row, col, which, count, sums)
             _colour_models(count, sums, mean, variance)
             _fit_shares(radiance[row, col], mean, variance, trust, count, each)
             if each[0] == 1.0:

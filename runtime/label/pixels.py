@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from spreadlets.scene.samples import SampleBuffer
 
 Split = Callable[[Layer, ThinLens], Iterable[Surface]]
 """Divides the mixed pixels of a layer between their surfaces."""
+Labelled = tuple[Layer, Pixels]
+"""A surface of all pixels of a frame, with their labels and weights."""
 
 
 def frame_pixels(
@@ -52,20 +54,51 @@ def frame_pixels(
     split : callable
         Divides mixed pixels between their surfaces.
     """
-    effects, middle = Effects(defocus, motion, swept, controls), camera.at(camera.shutter_centre)
-    layer = zoomed(layer, camera) if motion and camera.keys else layer
-    found: list[Pixels] = []
-    blurred = defocus or (motion and layer.has_motion)
-    for surface, share in split(layer, middle) if blurred else ((layer, None),):
-        labels = _straight_labels(surface, middle, controls, defocus=defocus, motion=motion)
-        pixels = Pixels(controls.light(surface.radiance, labels.coc), labels)
-        if share is not None:
-            pixels = pixels._replace(weight=share)
-        if found:
-            surface, pixels = listed(surface, pixels, np.flatnonzero(pixels.weight))
-        found += in_time(surface, pixels, camera, effects)
+    effects = Effects(defocus, motion, swept, controls)
+    return surface_pixels(frame_surfaces(layer, camera, effects, split), camera, effects)
+
+
+def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Split) -> list[Labelled]:
+    """Return the surfaces of a frame's pixels, with the labels of mid-shutter and straight paths.
+
+    Parameters
+    ----------
+    layer, camera, split
+        As for `frame_pixels`.
+    effects : Effects
+    """
+    middle = camera.at(camera.shutter_centre)
+    layer = zoomed(layer, camera) if effects.motion and camera.keys else layer
+    is_blurred = effects.defocus or (effects.motion and layer.has_motion)
+    surfaces = split(layer, middle) if is_blurred else ((layer, None),)
+    return [labelled(surface, share, camera, effects) for surface, share in surfaces]
+
+
+def labelled(layer: Layer, share: Image | None, camera: ThinLens, effects: Effects) -> Labelled:
+    """Return a surface of a frame's pixels with the labels of mid-shutter and straight paths."""
+    middle, controls = camera.at(camera.shutter_centre), effects.controls
+    labels = _straight_labels(layer, middle, controls, defocus=effects.defocus, motion=effects.motion)
+    light = controls.light(layer.radiance, labels.coc)
+    return layer, Pixels(light, labels) if share is None else Pixels(light, labels, share)
+
+
+def surface_pixels(surfaces: Sequence[Labelled], camera: ThinLens, effects: Effects) -> list[Pixels]:
+    """Return the pixels to draw of some surfaces: all those of the first, then a list of what is needed beside."""
+    found = list(in_time(*surfaces[0], camera, effects))
+    found += _lists(surfaces[1:], camera, effects)
     lists = [each._replace(frame=found[0].radiance) for each in found[1:]]
     return [found[0], joined(lists)] if lists else found
+
+
+def hidden_pixels(surface: Labelled, camera: ThinLens, effects: Effects, frame: Image) -> Pixels:
+    """Return the list of pixels to draw of a surface hidden behind others; ``frame`` are the colours of the frame."""
+    return joined(_lists([surface], camera, effects))._replace(frame=frame)
+
+
+def _lists(surfaces: Sequence[Labelled], camera: ThinLens, effects: Effects) -> list[Pixels]:
+    """Return lists of those pixels of some surfaces that have any weight."""
+    chosen = [(layer, pixels, np.flatnonzero(pixels.weight)) for layer, pixels in surfaces]
+    return [each for some in chosen for each in in_time(*listed(*some), camera, effects)]
 
 
 def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool) -> Labels:

@@ -54,10 +54,11 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     """
     # Undo a filter of the depth.
     height, width = layer.shape
-    place, known = _places(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    layer = without_nothing(layer)
+    place, known = places(layer, camera), np.full(layer.shape, -1.0, np.float32)
     if depth_is_filtered(place):
         layer, known = without_filter(layer, place)
-        place = _places(layer, camera)
+        place = places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
     # Divide each pixel among the surfaces around it.
     purity = np.empty_like(place)
@@ -65,7 +66,9 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
     share = np.empty((height, width, _surface_kernels.MOST), np.float32)
     colours = np.empty((height, width, _surface_kernels.MOST, 4), np.float32)
-    given = place, layer.radiance, purity, known, LEAST_GAP
+    weights = purity, np.empty_like(place), np.empty_like(place)
+    for_bands(_surface_kernels.weigh_colours, height, layer.radiance, *weights)
+    given = place, layer.radiance, weights, known, LEAST_GAP
     if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
         yield layer, None
         return
@@ -78,8 +81,8 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             yield _surface(layer, shown, source[:, :, number]) if number else replace(layer, radiance=shown), weight
 
 
-def _places(layer: Layer, camera: ThinLens) -> Image:
-    """Return where surfaces lie in depth, as CoC radii, px."""
+def places(layer: Layer, camera: ThinLens) -> Image:
+    """Return where a layer's surfaces lie in depth, as CoC radii, px, shape (H, W), float32."""
     place = np.empty(layer.shape, np.float32)
     for_bands(_label_kernels.coc_radii, len(place), layer.depth, _scale(layer, camera), 0.0, place)
     return place
@@ -135,6 +138,26 @@ def depth_is_filtered(place: Image) -> bool:
     return bool(total[1] > total[0])
 
 
+def without_nothing(layer: Layer) -> Layer:
+    """Return a layer in which what covers a part of a pixel, with nothing behind, has the depth of its own.
+
+    Where depth is filtered, and a surface ends before nothing, its depth is mixed with whatever stands for nothing. As
+    alpha is filtered alike, it tells how.
+    """
+    alpha = np.ascontiguousarray(layer.radiance[..., 3])
+    if not ((alpha > 0.0) & (alpha < 1.0)).any() or alpha.all():
+        return layer
+    height, surface = len(alpha), np.empty_like(alpha)
+    for_bands(_blend_kernels.take_nothing_out, height, layer.depth, alpha, surface)
+    counts = np.empty((height, 2), np.int64)
+    for_bands(_blend_kernels.count_element_depths, height, layer.depth, surface, counts)
+    if counts[:, 1].sum() <= counts[:, 0].sum():
+        return layer
+    source, depth = np.empty((*layer.shape, 2), np.int32), np.empty_like(alpha)
+    for_bands(_blend_kernels.mend_element, height, layer.depth, alpha, surface, source, depth)
+    return replace(_surface(layer, layer.radiance, source), depth=depth)
+
+
 def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
     """Return a layer whose labels are those of one surface each, not blends, and what the blends tell of the shares.
 
@@ -172,3 +195,31 @@ def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
     shape = (*values.shape[:2], values[0, 0].size)
     for_bands(_label_kernels.take, len(values), values.reshape(shape), source, taken.reshape(shape))
     return taken
+
+
+def take_features(layer: Layer, like: Layer) -> Image:
+    """Return all that is known of a layer's pixels and may be averaged, shape (H, W, n), float32.
+
+    Colour and alpha, nearness ``-1 / depth`` and motions (dx, dy): one of each, or three if those one frame before and
+    after are known of another layer ``like`` this.
+    """
+    depths = [layer.depth if each is None else each for each in (layer.depth_prev, layer.depth_next)]
+    motions = [layer.motion if each is None else each for each in (layer.motion_prev, layer.motion_next)]
+    nearness = [-1.0 / each[..., None] for each in (layer.depth, *depths)[: len(like.depths)]]
+    return np.concatenate(
+        [layer.radiance, *nearness, *(layer.motion, *motions)[: len(like.motions)]], axis=2, dtype=np.float32
+    )
+
+
+def with_features(layer: Layer, features: Image) -> Layer:
+    """Return a layer like another with features (H, W, n), see `take_features`; beyond all depths where they are 0."""
+    begin, names = 4, ("depth", "depth_prev", "depth_next")[: len(layer.depths)]
+    planes: dict[str, Any] = {"radiance": np.ascontiguousarray(features[..., :begin])}
+    for name in names:
+        nearness, planes[name] = features[..., begin], np.full(layer.shape, np.inf, np.float32)
+        np.divide(-1.0, nearness, out=planes[name], where=nearness < 0.0)
+        begin += 1
+    for name in ("motion", "motion_prev", "motion_next")[: len(layer.motions)]:
+        planes[name] = np.ascontiguousarray(features[..., begin : begin + 2])
+        begin += 2
+    return replace(layer, **planes)

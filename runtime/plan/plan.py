@@ -18,12 +18,15 @@ from spreadlets.psf.model import PsfGrid
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.label.pixels import frame_pixels
+from spreadlets.runtime.label.moving import Effects
+from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
+from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan._plan_kernels import GridTables, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_colours, extended_pass
+from spreadlets.runtime.plan.divide import divide_frame
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
@@ -138,11 +141,16 @@ class _Part(NamedTuple):
 
 
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
-    """Return the (cell, pose) pairs that a frame needs of a database with the given grid."""
+    """Return the (cell, pose) pairs that a frame needs of a database with the given grid, by default options."""
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
+    effects = Effects(defocus=True, motion=True, swept=grid.model.has_motion)
     for layer in frame.layers:
-        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, swept=grid.model.has_motion):
+        if len(frame.layers) == 1:
+            pixel_sets = divide_frame(layer, camera, effects).pixel_sets
+        else:
+            pixel_sets = surface_pixels(frame_surfaces(layer, camera, effects, split_surfaces), camera, effects)
+        for pixels in pixel_sets:
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
@@ -159,6 +167,7 @@ def plan_pixels(
     stochastic: bool = False,
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
+    layering: Layering | None = None,
 ) -> Plan:
     """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
 
@@ -179,6 +188,8 @@ def plan_pixels(
         If given, every PSF is drawn in full from it, none as a spreadlet.
     exact_psf : ExactPsf or None
         What makes the PSFs of highlights; None to draw them as all others.
+    layering : Layering, optional
+        The depth layers, where they are known; by default they are found in what is drawn.
 
     Notes
     -----
@@ -187,7 +198,10 @@ def plan_pixels(
     # Choose the variants, and read their cells.
     chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
     # Assign the pixels to depth layers.
-    n_layers, members = _assign(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+    if layering is None:
+        layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+    n_layers, found = layering.n_layers, zip(pixel_sets, chosen.indices, strict=True)
+    members = [layering.members(each.labels, index) for each, index in found]
     # Lay out what each layer draws.
     tolerance = 0.0 if dense_psf else options.tolerance
     sources, error_bound = _lay_out(
@@ -237,15 +251,15 @@ def _choose(
     return _Choice(indices, variants, highlights, table, spike_of, variation)
 
 
-def _assign(
+def _divide(
     pixel_sets: Sequence[Pixels],
     indices: Sequence[npt.NDArray[np.int32]],
     n_layers: int,
     softness: float | None,
     *,
     stochastic: bool,
-) -> tuple[int, list[Membership]]:
-    """Divide the range of depths, and assign each pixel to its layers; return their number, too."""
+) -> Layering:
+    """Divide the range of depths into layers."""
     frames = [
         (each.labels, index if each.curved is None else np.where(each.curved, np.int32(0), index))
         for each, index in zip(pixel_sets, indices, strict=True)
@@ -253,11 +267,8 @@ def _assign(
     ]
     lists = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True) if each.is_list]
     if stochastic:
-        layering = Layering.equal(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
-    else:
-        layering = Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
-    members = [layering.members(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True)]
-    return layering.n_layers, members
+        return Layering.equal(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
+    return Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
 
 
 def _lay_out(

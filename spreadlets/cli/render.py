@@ -47,6 +47,7 @@ class _Job(NamedTuple):
     pass_through: bool = False
     output_coc: str | None = None
     bit_depth: int | None = None
+    hidden_from: Sequence[tuple[str, dict[str, Any]]] = ()
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
@@ -55,7 +56,8 @@ class _Job(NamedTuple):
 
         database = self.rendering["database"]
         passes = [value for name, value in self.reading.items() if name.endswith("_file")]
-        others = (self.camera, self.reference, *passes, database if isinstance(database, str) else None)
+        others = [self.camera, self.reference, *passes, database if isinstance(database, str) else None]
+        others += [path for path, _ in self.hidden_from]
         if self.output_coc and image_extension(self.output_coc) != OPENEXR:
             raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
         if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
@@ -70,6 +72,14 @@ class _Job(NamedTuple):
     "The image to write: .exr, or for viewing .png, .jpg or .tif.",
     cloup.option("--also", metavar="NAME,...", help="Blur these further colour layers of the file, too."),
     cloup.option("--pass-through", is_flag=True, help="Copy all other channels of the file unchanged."),
+    cloup.option(
+        "--hidden-from",
+        multiple=True,
+        type=click.Path(dir_okay=False),
+        metavar="FRAME.exr",
+        help="Take what is hidden from this frame right before or after, too; may be repeated. Of a sequence, such as "
+        "frame.####.exr, from the frames before and after each.",
+    ),
     cloup.option("--output-coc", type=click.Path(dir_okay=False), help="Write the signed CoC radii, px (.exr)."),
 )
 @camera_options
@@ -109,6 +119,7 @@ def synth(
     pass_through: bool,
     output_coc: str | None,
     bit_depth: int | None,
+    hidden_from: tuple[str, ...],
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -137,12 +148,18 @@ def synth(
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(
-            frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc, bit_depth
-        )
+        files, hidden = (frames, output, camera, lens, reference), [(path, reading) for path in hidden_from]
+        job = _Job(*files, reading, rendering, layers, pass_through, output_coc, bit_depth, hidden)
         job.check()
         print_figures(_synthesise(job), as_json)
         return
+    if not all(is_pattern(path) for path in hidden_from):
+        raise click.UsageError("of a sequence, --hidden-from is one, too, such as frame.####.exr")
+
+    def numbered_reading(number: int) -> dict[str, Any]:
+        apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
+        return reading | apart
+
     with _databases() as choose:
 
         def make(number: int, path: str) -> dict[str, Any]:
@@ -151,17 +168,19 @@ def synth(
             name, mask = rendering["database"], rendering["mask"]
             chosen = rendering | {"mask": numbered(mask, number) if mask else None}
             chosen["database"] = name if shape else lambda frame: choose(name, frame, motion)
-            apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
             radii = numbered(output_coc, number) if output_coc else None
-            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii, bit_depth)
+            around = [(numbered(item, n), n) for item in hidden_from for n in (number - 1, number + 1)]
+            hidden = [(item, numbered_reading(n)) for item, n in around if os.path.exists(item)]
+            files, own = (inputs, path, shot, lens, truth), numbered_reading(number)
+            job = _Job(*files, own, chosen, layers, pass_through, radii, bit_depth, hidden)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
 
         passes = [value for key, value in reading.items() if key.endswith("_file") and value]
         others = [each for each in (camera, reference, rendering["mask"], *passes) if each]
-        reads = [*frames, *others, *(each for each in (database, shape.get("kernel")) if each)]
+        reads = [*frames, *others, *hidden_from, *(each for each in (database, shape.get("kernel")) if each)]
         with warnings.catch_warnings():
             report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
     print_figures(report, as_json)
@@ -199,12 +218,14 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         elements = list(with_colours(files, frame, job.also, options.view))
         further = other_channels(files, frame.raster, options.colour_layer, options.view) if job.pass_through else {}
         truth = exr.read_reference(job.reference, options) if job.reference else None
+        hidden = [_hidden(path, ReadOptions(**reading, camera=camera), job.also) for path, reading in job.hidden_from]
     rendering = dict(job.rendering)
     database = rendering.pop("database")
     chosen = database(frame) if callable(database) else database
     if rendering.get("mask"):
         rendering["mask"] = read_plane(rendering["mask"])
-    with progress_bar("building", quiet=False) as progress, Renderer(frame, chosen, progress=progress) as renderer:
+    others: dict[str, Any] = {"hidden_from": [each for each, _ in hidden]}
+    with progress_bar("building", quiet=False) as bar, Renderer(frame, chosen, **others, progress=bar) as renderer:
         image, report = renderer.render(camera, **rendering, report=True, clock=clock)
         raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
     if frame.repaired_pixels or frame.dropped_pixels:
@@ -212,13 +233,24 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         warnings.warn(text, stacklevel=1)
     figures = _compared(*_alike(image, truth, raster, rendering))
     for name, element in elements:
-        with Renderer(element, chosen) as renderer:
+        with Renderer(element, chosen, hidden_from=[elsewhere[name] for _, elsewhere in hidden]) as renderer:
             further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):
         images.write_image(job.output, image, bit_depth=job.bit_depth, raster=raster, channels=further)
         if job.output_coc is not None and coc is not None:
             images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
+
+
+def _hidden(path: str, options: Any, also: Sequence[str]) -> tuple[Any, dict[str, Any]]:
+    """Return a neighbouring frame, and the same with the colours of further layers, by name."""
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.exr_file import opened
+    from spreadlets.files.further_channels import with_colours
+
+    with opened([path]) as files:
+        frame = exr.read_frame(files, options=options)
+        return frame, dict(with_colours(files, frame, also, options.view))
 
 
 def _bokeh(shape: Mapping[str, Any], motion: bool, frame: Any) -> Any:

@@ -64,6 +64,16 @@ class Layer:
         """Height and width in pixels."""
         return self.depth.shape[0], self.depth.shape[1]
 
+    @property
+    def depths(self) -> tuple[FloatArray, ...]:
+        """The depths that are known: `depth`, and perhaps those one frame before and after."""
+        return tuple(each for each in (self.depth, self.depth_prev, self.depth_next) if each is not None)
+
+    @property
+    def motions(self) -> tuple[FloatArray, ...]:
+        """The motions that are known: `motion`, and for a curved path those over the frames before and after."""
+        return tuple(each for each in (self.motion, self.motion_prev, self.motion_next) if each is not None)
+
 
 class Frame:
     """One or more layers of labelled pixels, nearest first.

@@ -391,3 +391,46 @@ def test_a_strong_highlight_leaves_nothing_around_its_psf(small_combined, value)
     rows, cols = np.indices(image.shape[:2]) - 64
     assert np.abs(image[np.hypot(rows, cols) > 20] - 1).max() < 1e-4
     assert (image[..., 0].sum(dtype=np.float64) - 129**2) / value == pytest.approx(1.0, rel=2e-3)
+
+
+# --- what is hidden
+
+
+def disc_before_plane(time, near=-6.0, layers=False):
+    """A near disc, moving by 20 px a frame, before noise in focus: as one layer, or with what it hides."""
+    noise = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
+    rows, cols = np.indices((SIZE, SIZE))
+    inside = np.hypot(rows - 32, cols - 32 - 20 * time) < 8
+    motion = np.where(inside[..., None], (20.0, 0.0), (0.0, 0.0))
+    if layers:
+        disc = inside[..., None] * np.array([0.6, 0.1, 0.1, 1.0])
+        everywhere = np.ones((SIZE, SIZE))
+        return Frame.from_layers([(disc, depth_of(near) * everywhere, motion), (noise, depth_of(0.0) * everywhere)])
+    radiance = np.where(inside[..., None], (0.6, 0.1, 0.1), noise)
+    return Frame(radiance, np.where(inside, depth_of(near), depth_of(0.0)), motion)
+
+
+def test_what_other_frames_saw_is_shown_through_the_blur(small_combined):
+    still = replace(CAMERA, shutter=(0.0, 0.0))
+    truth = synthesize(disc_before_plane(0, layers=True), still, small_combined)[0]
+    others = [disc_before_plane(-1), disc_before_plane(1)]
+    guessed, one, both = (
+        np.abs(synthesize(disc_before_plane(0), still, small_combined, hidden_from=each)[0] - truth).mean()
+        for each in ((), others[0], others)
+    )
+    assert max(one, both) < 0.3 * guessed
+
+
+@pytest.mark.parametrize(
+    ("frame", "other", "options", "words"),
+    [
+        (disc_before_plane(0, layers=True), disc_before_plane(1), {}, "for a frame of one layer"),
+        (disc_before_plane(0), disc_before_plane(1), {"layers": 1}, "not with layers=1"),
+        (disc_before_plane(0), disc_before_plane(1), {"method": "gather"}, "nor with the method 'gather'"),
+        (disc_before_plane(0), disc_before_plane(1, layers=True), {}, "a frame of 2 layers"),
+        (disc_before_plane(0), spot_frame(3, 3, 0.0, size=33), {}, "33 x 33 px, but the frame has 65 x 65"),
+    ],
+)
+def test_frames_that_cannot_tell_what_is_hidden_are_refused(small_combined, frame, other, options, words):
+    with pytest.raises(InvalidParameterError, match=words):
+        synthesize(frame, CAMERA, small_combined, hidden_from=other, **options)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces
+from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces, without_nothing
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -120,3 +120,16 @@ def test_a_bright_lamp_keeps_its_light_to_itself():
     lamp = Frame(truth[..., None] * 450.0 + (1 - truth[..., None]) * BLUE * 0.05, layer.depth).layers[0]
     far = sum((s * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, s in split_surfaces(lamp, CAMERA))
     assert far.max() < 0.2, "the plane behind has .03 and less of its own"
+
+
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_an_element_with_filtered_depth_has_its_own_depth_up_to_its_rim(shape):
+    layer, share = drawn(shape, filtered=True, alpha=True)
+    found = without_nothing(layer)
+    assert np.abs(inner(found.depth)[inner(share) >= 0.01] - NEAR).max() < 1e-3
+    assert np.array_equal(found.depth[share == 0], layer.depth[share == 0])
+
+
+def test_an_element_with_point_samples_of_depth_keeps_them():
+    layer, _ = drawn(edge, alpha=True)
+    assert without_nothing(layer) is layer

@@ -16,8 +16,8 @@ from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
-from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, share_beyond
-from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.composite.layers import Cover, Moments, box_blur, layer_moments, passing_samples, share_beyond
+from spreadlets.runtime.label.labels import Labels, Places, View
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import layering
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -174,10 +174,16 @@ SHARP = Moments(0.0, 0.0, 0.0, (0.0, 0.0))
 
 def beyond(members, number, moments=SHARP, alpha=1.0, weight=NOTHING):
     radiance = np.full((*members.layer.shape, 4), alpha, np.float32)
-    nothing = np.zeros(members.layer.shape, np.float32)
-    view = View(nothing, 1.0, 1.0)
-    labels = Labels(nothing, np.zeros((*nothing.shape, 2), np.float32), nothing, None, view)
-    return share_beyond([(members, Pixels(radiance, labels, weight))], number, moments)
+    known = np.ones(members.layer.shape, np.uint64)
+    return share_beyond(Cover([(members, pixels_of(radiance, weight))], [], known), number, moments)
+
+
+def pixels_of(radiance, weight, places=None):
+    nothing = np.zeros(radiance.shape[:2], np.float32)
+    labels = Labels(
+        nothing, np.zeros((*nothing.shape, 2), np.float32), nothing, None, View(nothing, 1, 1, (0, 0), places)
+    )
+    return Pixels(radiance, labels, weight)
 
 
 @pytest.mark.interpreted
@@ -191,6 +197,17 @@ def test_of_what_a_layer_leaves_the_part_that_nearer_ones_do_not_hide_lies_beyon
     assert np.allclose(beyond(members, 2, alpha=0.5), [[0.5, 2 / 3, 0.5, 1]])
     half = np.full((1, 4), 0.5, np.float32)
     assert np.allclose(beyond(members, 2, weight=half), beyond(members, 2, alpha=0.5))
+
+
+@pytest.mark.interpreted
+def test_where_a_layer_is_known_what_nearer_ones_hide_of_it_counts():
+    colours = np.ones((1, 4, 4), np.float32)
+    seen = members_of(np.array([[0, 0, 0, 2]], np.int32)), pixels_of(colours, NOTHING)
+    at = Places(np.array([[(0, col) for col in range(4)]], np.int32), (1, 4))
+    hidden = members_of([[1, 1, 1, 1]]), pixels_of(colours, np.float32([[1.0, 0.25, 0.0, 0.0]]), at)
+    known = np.array([[0b11, 0b11, 0b1, 0b1]], np.uint64)
+    found = share_beyond(Cover([seen], [hidden], known), 1, SHARP)
+    assert np.allclose(found, [[0, 1, 0, 1]]), "the layer's, in part its, unknown, not hidden"
 
 
 def test_the_share_beyond_is_blurred_as_the_layer_is():

@@ -504,3 +504,58 @@ def test_further_colour_layers_are_blurred_and_the_rest_is_passed_through(run, s
     assert status == 2 and "specular" in err
     status, _, err = run(*synth_arguments(scene, small_combined_path, **{"-o": scene / "out.png"}), "--pass-through")
     assert status == 2 and "are for OpenEXR" in err
+
+
+@pytest.fixture
+def posts(tmp_path):
+    """Three frames of a near post that moves before noise."""
+    noise = np.random.default_rng(0).random((32, 48, 3)).astype(np.float32)
+    for number in (1, 2, 3):
+        radiance, depth, motion = noise.copy(), np.full((32, 48), 4.0, np.float32), np.zeros((32, 48, 2), np.float32)
+        post = slice(8 * number, 8 * number + 5)
+        radiance[:, post], depth[:, post], motion[:, post] = (0.5, 0.1, 0.1), 3.0, (8.0, 0.0)
+        exr.write_frame(tmp_path / f"shot.{number:04d}.exr", Frame(radiance, depth, motion))
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA | {"shutter_open_close_frames": [0.0, 0.0]}))
+    exr.write_frame(tmp_path / "behind.exr", Frame(noise, np.full((32, 48), 4.0)))
+    return tmp_path
+
+
+def test_what_is_hidden_comes_from_other_frames(run, posts, small_combined_path):
+    common = "--camera", posts / "camera.json", "--db", small_combined_path
+    others = [item for n in (1, 3) for item in ("--hidden-from", posts / f"shot.{n:04d}.exr")]
+    for name, more in (("guessed", ()), ("known", others)):
+        assert run("synth", posts / "shot.0002.exr", "-o", posts / f"{name}.exr", *common, *more)[0] == 0
+    pattern = posts / "shot.####.exr"
+    assert run("synth", pattern, "-o", posts / "out.####.exr", *common, "--hidden-from", pattern)[0] == 0
+    guessed, known, of_sequence = (
+        exr.read_image(posts / name) for name in ("guessed.exr", "known.exr", "out.0002.exr")
+    )
+    assert np.array_equal(of_sequence, known), "the frames before and after each"
+    behind = exr.read_image(posts / "behind.exr")
+    error = [np.abs(each - behind)[6:-6, 16:21, :3].mean() for each in (guessed, known)]
+    assert error[1] < 0.8 * error[0]
+
+
+def test_a_sequence_takes_what_is_hidden_from_a_sequence(run, posts):
+    status, _, err = run(
+        "synth",
+        posts / "shot.####.exr",
+        "-o",
+        posts / "o.####.exr",
+        "--hidden-from",
+        posts / "shot.0001.exr",
+    )
+    assert status != 0 and "--hidden-from is one, too" in err
+
+
+def test_what_is_read_as_hidden_is_not_replaced(run, posts, small_combined_path):
+    given = (
+        "-o",
+        posts / "shot.0001.exr",
+        "--hidden-from",
+        posts / "shot.0001.exr",
+        "--camera",
+        posts / "camera.json",
+    )
+    status, _, err = run("synth", posts / "shot.0002.exr", *given, "--db", small_combined_path)
+    assert status != 0 and "shot.0001.exr" in err

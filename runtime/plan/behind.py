@@ -1,0 +1,127 @@
+"""What lies behind: surfaces that nearer ones hide, found before anything is blurred.
+
+A blur shows what a sharp image hides: beside a near thing out of focus, and through it. Layer by layer, what nearer
+ones hide of it is taken from neighbouring frames of the sequence, if there are any, and else guessed: where what was
+seen around looks like some other place, what lies there is copied. What is not found so is left to compositing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import DoubleArray, Image, IntArray
+from spreadlets.parallel import for_bands
+from spreadlets.runtime.label.pixels import Labelled
+from spreadlets.runtime.label.surfaces import take_features, with_features
+from spreadlets.runtime.plan import _behind_kernels
+from spreadlets.runtime.plan.layering import Layering
+from spreadlets.scene.frame import Layer
+
+LEAST_GAP = 1.0
+"""Width of gaps, in a layer's own blur, from which its texture shows in them; narrower ones its blur fills."""
+FAR_BLUR = 2.0
+"""How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
+
+
+class Behind(NamedTuple):
+    """The hidden surfaces of a frame.
+
+    Attributes
+    ----------
+    layer : Layer
+        The hidden surface of each pixel, of several the largest.
+    share : ndarray of shape (H, W), float32
+        Share of the pixel that it would have if nothing nearer were there; 0 where there is none.
+    known : ndarray of shape (H, W), uint64
+        Bit k says that all of depth layer k in the pixel is known: seen, or the hidden surface.
+    """
+
+    layer: Layer
+    share: Image
+    known: npt.NDArray[np.uint64]
+
+
+class _Pass(NamedTuple):
+    """A surface of each pixel: its depth layers and their shares, its colours, weights and how far it blurs, px."""
+
+    layer: npt.NDArray[np.int32]
+    farther: Image
+    radiance: Image
+    weight: Image
+    blur: Image
+
+
+def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Labelled | None = None) -> Behind:
+    """Find the hidden surfaces of a frame.
+
+    Parameters
+    ----------
+    surfaces : sequence of (layer, pixels)
+        What is seen.
+    layering : Layering
+        Its depth layers.
+    elsewhere : (layer, pixels), optional
+        What neighbouring frames show behind each pixel, with weight 0 where they show nothing.
+    """
+    first, passes = surfaces[0][0], [_pass_of(each, layering) for each in surfaces]
+    shape, n_features = first.shape, 4 + len(first.depths) + 2 * len(first.motions)
+    hidden = np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros((*shape, n_features), np.float32)
+    nearer, reach, known = *np.zeros((2, *shape), np.float32), np.ones(shape, np.uint64)
+    for number in range(layering.n_layers):
+        cover, sums, hidden_reach = np.zeros(shape, np.float32), np.zeros((shape[0], 3)), reach.copy()
+        for each in passes:
+            for_bands(_behind_kernels.add_cover, shape[0], *each, number, cover, reach, sums)
+        if number and sums[:, 0].any():
+            if elsewhere is not None:
+                there = _pass_of(elsewhere, layering)
+                given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
+                for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden, known)
+            gap, unlike = _choose(nearer, cover, hidden_reach, sums)
+            if (unlike >= 0.0).any():
+                shown = np.zeros((*shape, n_features + 1), np.float32)
+                for each, (layer, _) in zip(passes, surfaces, strict=True):
+                    labels = layer.depths, layer.motions
+                    for_bands(_behind_kernels.add_features, shape[0], *each, *labels, number, shown)
+                places = _places(nearer, shown, unlike)
+                for_bands(_behind_kernels.find_behind, shape[0], nearer, shown, gap, *places, number, hidden, known)
+        nearer += cover
+    return Behind(with_features(first, hidden[2]), hidden[1], known)
+
+
+def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
+    layer, pixels = surface
+    members = layering.members(pixels.labels, np.zeros(layer.shape, np.int32))
+    blur = np.abs(pixels.labels.coc) + np.float32(0.5) * pixels.labels.length
+    return _Pass(members.layer, members.farther, layer.radiance, pixels.weight, blur)
+
+
+def _choose(nearer: Image, cover: Image, reach: Image, sums: DoubleArray) -> tuple[Image, DoubleArray]:
+    """Return the widths of a layer's gaps, and which blocks of pixels are to be looked up, see the kernels."""
+    own, height = float(sums[:, 1].sum() / sums[:, 0].sum()), len(nearer)
+    across, gap = np.empty(nearer.shape, np.int32), np.empty_like(nearer)
+    for_bands(_behind_kernels.row_distances, height, nearer, across)
+    farthest = min(float(sums[:, 2].max()), FAR_BLUR * own)
+    for_bands(_behind_kernels.find_gaps, height, nearer, across, reach, farthest, gap)
+    unlike = np.empty([-(-side // _behind_kernels.BLOCK) for side in nearer.shape])
+    for_bands(_behind_kernels.choose_blocks, len(unlike), nearer, cover, gap, LEAST_GAP * own, unlike)
+    return gap, unlike
+
+
+def _places(nearer: Image, features: Image, unlike: DoubleArray) -> tuple[IntArray, DoubleArray]:
+    """Return for each block where what was seen around it is most alike, and how unlike.
+
+    Notes
+    -----
+    PatchMatch (Barnes et al. 2009), for blocks and with trials that are the same each time.
+    """
+    places = np.empty((*unlike.shape, 2), np.int64)
+    for_bands(_behind_kernels.try_places, len(unlike), nearer, features, places, unlike)
+    for _ in range(_behind_kernels.ROUNDS):
+        before = places, unlike
+        places, unlike = np.empty_like(places), np.empty_like(unlike)
+        for_bands(_behind_kernels.spread_places, len(unlike), nearer, features, *before, places, unlike)
+    return places, unlike

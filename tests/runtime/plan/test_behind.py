@@ -1,0 +1,103 @@
+"""What lies behind a post before a pattern: found in its surroundings, or in another frame."""
+
+import numpy as np
+import pytest
+
+from spreadlets.runtime.label.moving import Effects
+from spreadlets.runtime.plan.divide import divide_frame
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Frame
+
+CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.05, focus_distance_m=4.0)
+SIZE, POST = 64, slice(28, 36)
+
+
+def depth_of(coc):
+    return 1.0 / (1.0 / 4.0 - coc / CAMERA.coc_scale(SIZE))
+
+
+def checkerboard(cell=8):
+    rows, cols = np.indices((SIZE, SIZE))
+    return np.where(((rows // cell + cols // cell) % 2)[..., None], (0.9, 0.8, 0.7), (0.1, 0.2, 0.3))
+
+
+def post_before(behind, near=-6.0, far=0.0):
+    radiance, depth = behind.copy(), np.full((SIZE, SIZE), depth_of(far))
+    radiance[:, POST], depth[:, POST] = (0.5, 0.1, 0.1), depth_of(near)
+    return Frame(radiance, depth).layers[0]
+
+
+def hidden(layer, **options):
+    """Return colours and shares of what is hidden in a frame."""
+    divided = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True), **options)
+    assert divided.n_hidden == 1
+    return in_frame(divided.pixel_sets[-1])
+
+
+def in_frame(pixels):
+    """Return colours and weights of a list of pixels where they lie; black where there are none."""
+    colours, weights = np.zeros((SIZE, SIZE, 4)), np.zeros((SIZE, SIZE))
+    drawn = pixels.weight > 0
+    rows, cols = pixels.labels.view.places.at[drawn].T
+    colours[rows, cols], weights[rows, cols] = pixels.radiance[drawn], pixels.weight[drawn]
+    return colours, weights
+
+
+@pytest.mark.interpreted
+def test_a_pattern_goes_on_behind_a_post():
+    behind = checkerboard()
+    colours, share = hidden(post_before(behind))
+    found = share[8:-8, POST]
+    assert found.mean() > 0.95, "all of it is within reach of the post's blur"
+    error = np.abs(colours[..., :3] - behind)[8:-8, POST].max(axis=2)[found > 0.5]
+    assert np.median(error) < 0.02 and error.mean() < 0.15
+
+
+def test_an_even_surface_stays_even():
+    colours, share = hidden(post_before(np.full((SIZE, SIZE, 3), 0.4)))
+    assert np.allclose(colours[share > 0], (0.4, 0.4, 0.4, 1.0), atol=0.005)
+
+
+def test_shares_are_those_that_the_nearer_layer_hides():
+    layer = post_before(checkerboard())
+    divided = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True))
+    first, further, last = divided.pixel_sets
+    near = first.weight * (first.labels.coc < -3)
+    at = further.labels.view.places.at
+    np.add.at(near, (at[..., 0], at[..., 1]), further.weight * (further.labels.coc < -3))
+    share = in_frame(last)[1]
+    assert share.any() and np.allclose(share[share > 0], near[share > 0], atol=1e-5)
+
+
+def test_what_no_blur_reveals_is_not_looked_for():
+    behind = checkerboard()
+    radiance, depth = behind.copy(), np.full((SIZE, SIZE), depth_of(0.0))
+    radiance[:, 12:52], depth[:, 12:52] = 0.5, depth_of(-4.0)
+    _, share = hidden(Frame(radiance, depth).layers[0])
+    assert not share[:, 20:44].any() and share[8:-8, 12:15].any()
+
+
+def test_noise_is_not_copied():
+    noise = np.random.default_rng(0).random((SIZE, SIZE, 3))
+    divided = divide_frame(post_before(noise), CAMERA, Effects(defocus=True, motion=True, swept=True))
+    assert divided.n_hidden == 0, "no place looks like another"
+
+
+def test_other_frames_come_before_guesses():
+    noise = np.random.default_rng(0).random((SIZE, SIZE, 3))
+    seen_there = np.roll(noise, 20, axis=1)
+    other = Frame(seen_there, np.full((SIZE, SIZE), depth_of(0.0)), np.broadcast_to((-20.0, 0.0), (SIZE, SIZE, 2)))
+    layer = Frame(*((each := post_before(noise)).radiance, each.depth, np.zeros((SIZE, SIZE, 2)))).layers[0]
+    colours, share = hidden(layer, neighbours=[other.layers[0]])
+    assert share[:, POST].min() > 0.9
+    assert np.allclose(colours[:, POST, :3], noise[:, POST], atol=1e-5)
+
+
+def test_any_number_of_threads_gives_the_same(monkeypatch):
+    from spreadlets.parallel import limit_threads
+
+    layer, found = post_before(checkerboard()), []
+    for count in (1, 2):
+        with limit_threads(count):
+            found.append(hidden(layer))
+    assert all(np.array_equal(*each) for each in zip(*found, strict=True))
