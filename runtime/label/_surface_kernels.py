@@ -383,7 +383,8 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
             for s in range(MOST):
                 source[row, col, s, 0], source[row, col, s, 1] = row, col
                 share[row, col, s] = 1.0 if s == 0 else 0.0
-                colours[row, col, s] = radiance[row, col]
+                for c in range(4):
+                    colours[row, col, s, c] = radiance[row, col, c]
             if place[row, col] == math.inf or not _is_mixed(place, row, col, gap):
                 continue
             # Find the surfaces around a pixel of an edge.

@@ -15,6 +15,8 @@ FARTHEST = 96
 TRIALS = 48
 """Places that each block tries by itself; then it tries those of its neighbours, and what lies beside the best."""
 ROUNDS = 4
+BLOCKS_ACROSS = 1 << 12
+"""More than there are in a row: what blocks try first differs."""
 MOSTLY_SEEN = 0.9
 """Share of a pixel from which it tells what lies there."""
 NEGLIGIBLE = 0.004
@@ -161,18 +163,20 @@ def find_gaps(begin, end, nearer, across, extent, own, gap):
 
 
 @kernel
-def choose_blocks(begin, end, nearer, cover, gap, least, unlike):
-    """Fill ``unlike`` (H / BLOCK, W / BLOCK), float64, with -1 for blocks that are left as they are, else infinity.
+def choose_blocks(begin, end, nearer, cover, gap, least, corner, unlike):
+    """Fill ``unlike`` (h, w), float64, with -1 for blocks that are left as they are, else infinity.
 
     Those are looked up that have a gap wider than ``least``, px, in a layer that covers, or nearly so, what was seen.
+    Blocks lie as the picture's centre does, from which ``corner``, row and column of the frame's first pixel, count.
     """
     height, width = nearer.shape
     for number in range(begin, end):
         for across in range(unlike.shape[1]):
             wide, own, seen = False, 0.0, 0.0
-            for i in range(max(number * BLOCK - BLOCK, 0), min(number * BLOCK + 2 * BLOCK, height)):
-                for j in range(max(across * BLOCK - BLOCK, 0), min(across * BLOCK + 2 * BLOCK, width)):
-                    inside = i // BLOCK == number and j // BLOCK == across
+            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            for i in range(max(top - BLOCK, 0), min(top + 2 * BLOCK, height)):
+                for j in range(max(left - BLOCK, 0), min(left + 2 * BLOCK, width)):
+                    inside = 0 <= i - top < BLOCK and 0 <= j - left < BLOCK
                     wide = wide or (inside and gap[i, j] > least)
                     own += cover[i, j]
                     seen += 1.0 - nearer[i, j]
@@ -203,7 +207,7 @@ def _unlikeness(nearer, features, top, left, down, right, most):
             continue
         if total > bound:
             return math.inf
-        for j in range(left - AROUND + SHEAR * i % SPARSE, min(left + BLOCK + AROUND, width), SPARSE):
+        for j in range(left - AROUND + SHEAR * (i - top) % SPARSE, min(left + BLOCK + AROUND, width), SPARSE):
             if j < 0 or not 0 <= j + right < width:
                 continue
             first, second = 1.0 - nearer[i, j], 1.0 - nearer[i + down, j + right]
@@ -235,16 +239,18 @@ def _refine(nearer, features, top, left, size, best, place):
 
 
 @kernel
-def try_places(begin, end, nearer, features, places, unlike):
+def try_places(begin, end, nearer, features, corner, places, unlike):
     """Find for each block, among some places, where what was seen around it is most alike.
 
     Parameters
     ----------
     nearer, features
         As for `find_behind`.
-    places : ndarray of shape (H / BLOCK, W / BLOCK, 2), int64
+    corner : tuple of two ints
+        As for `choose_blocks`.
+    places : ndarray of shape (h, w, 2), int64
         Filled with the rows and columns from the block to the place.
-    unlike : ndarray of shape (H / BLOCK, W / BLOCK), float64
+    unlike : ndarray of shape (h, w), float64
         See `choose_blocks`; filled, infinite where no place is found.
     """
     for number in range(begin, end):
@@ -254,23 +260,25 @@ def try_places(begin, end, nearer, features, places, unlike):
             if unlike[number, across] < 0.0:
                 continue
             best = math.inf
+            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
             for n in range(TRIALS):
                 # A sequence that fills the square evenly (Roberts 2018), another part of it for each block.
-                index = n + TRIALS * (number * unlike.shape[1] + across)
+                index = n + TRIALS * part
                 x, y = 0.7548776662466927 * index % 1.0, 0.5698402909980532 * index % 1.0
                 # Denser in the middle.
                 x, y = 2.0 * x - 1.0, 2.0 * y - 1.0
                 down, right = int(FARTHEST * y * abs(y)), int(FARTHEST * x * abs(x))
-                each = _unlikeness(nearer, features, number * BLOCK, across * BLOCK, down, right, best)
+                each = _unlikeness(nearer, features, top, left, down, right, best)
                 if each < best:
                     best, place[0], place[1] = each, down, right
             if best < math.inf:
-                best = _refine(nearer, features, number * BLOCK, across * BLOCK, 4, best, place)
+                best = _refine(nearer, features, top, left, 4, best, place)
             unlike[number, across] = best
 
 
 @kernel
-def spread_places(begin, end, nearer, features, places, unlike, new_places, new_unlike):
+def spread_places(begin, end, nearer, features, corner, places, unlike, new_places, new_unlike):
     """Let each block try its neighbours' places: fill the new arrays, like those of `try_places`."""
     rows, cols = unlike.shape
     for number in range(begin, end):
@@ -279,6 +287,7 @@ def spread_places(begin, end, nearer, features, places, unlike, new_places, new_
             place[0], place[1] = places[number, across, 0], places[number, across, 1]
             if best >= 0.0:
                 start = best
+                top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
                 for i in range(max(number - 1, 0), min(number + 2, rows)):
                     for j in range(max(across - 1, 0), min(across + 2, cols)):
                         if not 0.0 <= unlike[i, j] < math.inf:
@@ -286,11 +295,11 @@ def spread_places(begin, end, nearer, features, places, unlike, new_places, new_
                         down, right = places[i, j, 0], places[i, j, 1]
                         if down == place[0] and right == place[1]:
                             continue
-                        each = _unlikeness(nearer, features, number * BLOCK, across * BLOCK, down, right, best)
+                        each = _unlikeness(nearer, features, top, left, down, right, best)
                         if each < best:
                             best, place[0], place[1] = each, down, right
                 if best < start:
-                    best = _refine(nearer, features, number * BLOCK, across * BLOCK, 2, best, place)
+                    best = _refine(nearer, features, top, left, 2, best, place)
             new_unlike[number, across] = best
 
 
@@ -337,13 +346,14 @@ def take_elsewhere(begin, end, nearer, layer, seen, features, number, found, kno
 
 
 @helper
-def _copy(nearer, features, places, unlike, row, col, value):
+def _copy(nearer, features, corner, places, unlike, row, col, value):
     """Fill ``value`` (n) with what the places of the four blocks around a pixel show; return the sum of its weights.
 
     They give way to each other linearly, the more alike counting more.
     """
     height, width = nearer.shape
-    y, x = (row + 0.5) / BLOCK - 0.5, (col + 0.5) / BLOCK - 0.5
+    y = (row + corner[0] % BLOCK + 0.5) / BLOCK - 0.5
+    x = (col + corner[1] % BLOCK + 0.5) / BLOCK - 0.5
     above, before = math.floor(y), math.floor(x)
     value[:] = 0.0
     total = 0.0
@@ -366,7 +376,7 @@ def _copy(nearer, features, places, unlike, row, col, value):
 
 
 @kernel
-def find_behind(begin, end, nearer, features, gap, places, unlike, number, found, known):
+def find_behind(begin, end, nearer, features, gap, corner, places, unlike, number, found, known):
     """Guess what of a layer lies hidden in each pixel.
 
     Parameters
@@ -375,7 +385,7 @@ def find_behind(begin, end, nearer, features, gap, places, unlike, number, found
         Share of each pixel that nearer layers hide.
     features : ndarray of shape (H, W, n), float32
         See `add_features`.
-    gap, places, unlike
+    gap, corner, places, unlike
         See `find_gaps` and `try_places`.
     number : int
         The layer.
@@ -392,7 +402,7 @@ def find_behind(begin, end, nearer, features, gap, places, unlike, number, found
             if hidden < NEGLIGIBLE:
                 known[row, col] |= bit
             elif gap[row, col] >= 0.0 and not known[row, col] & bit:
-                total = _copy(nearer, features, places, unlike, row, col, value)
+                total = _copy(nearer, features, corner, places, unlike, row, col, value)
                 if total == 0.0:
                     continue
                 if value[ALPHA] < NEGLIGIBLE * total:

@@ -70,6 +70,7 @@ def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Lab
     first, passes = surfaces[0][0], [_pass_of(each, layering) for each in surfaces]
     shape, n_features = first.shape, 4 + len(first.depths) + 2 * len(first.motions)
     hidden = np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros((*shape, n_features), np.float32)
+    corner = surfaces[0][1].labels.view.corner
     nearer, reach, known = *np.zeros((2, *shape), np.float32), np.ones(shape, np.uint64)
     for number in range(layering.n_layers):
         cover, sums, hidden_reach = np.zeros(shape, np.float32), np.zeros((shape[0], 3)), reach.copy()
@@ -80,14 +81,16 @@ def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Lab
                 there = _pass_of(elsewhere, layering)
                 given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
                 for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden, known)
-            gap, unlike = _choose(nearer, cover, hidden_reach, sums)
+            gap, unlike = _choose(nearer, cover, hidden_reach, sums, corner)
             if (unlike >= 0.0).any():
                 shown = np.zeros((*shape, n_features + 1), np.float32)
                 for each, (layer, _) in zip(passes, surfaces, strict=True):
                     labels = layer.depths, layer.motions
                     for_bands(_behind_kernels.add_features, shape[0], *each, *labels, number, shown)
-                places = _places(nearer, shown, unlike)
-                for_bands(_behind_kernels.find_behind, shape[0], nearer, shown, gap, *places, number, hidden, known)
+                places = _places(nearer, shown, corner, unlike)
+                for_bands(
+                    _behind_kernels.find_behind, shape[0], nearer, shown, gap, corner, *places, number, hidden, known
+                )
         nearer += cover
     return Behind(with_features(first, hidden[2]), hidden[1], known)
 
@@ -99,19 +102,24 @@ def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
     return _Pass(members.layer, members.farther, layer.radiance, pixels.weight, blur)
 
 
-def _choose(nearer: Image, cover: Image, reach: Image, sums: DoubleArray) -> tuple[Image, DoubleArray]:
+def _choose(
+    nearer: Image, cover: Image, reach: Image, sums: DoubleArray, corner: tuple[int, int]
+) -> tuple[Image, DoubleArray]:
     """Return the widths of a layer's gaps, and which blocks of pixels are to be looked up, see the kernels."""
     own, height = float(sums[:, 1].sum() / sums[:, 0].sum()), len(nearer)
     across, gap = np.empty(nearer.shape, np.int32), np.empty_like(nearer)
     for_bands(_behind_kernels.row_distances, height, nearer, across)
     farthest = min(float(sums[:, 2].max()), FAR_BLUR * own)
     for_bands(_behind_kernels.find_gaps, height, nearer, across, reach, farthest, gap)
-    unlike = np.empty([-(-side // _behind_kernels.BLOCK) for side in nearer.shape])
-    for_bands(_behind_kernels.choose_blocks, len(unlike), nearer, cover, gap, LEAST_GAP * own, unlike)
+    size = _behind_kernels.BLOCK
+    unlike = np.empty([-(-(side + at % size) // size) for side, at in zip(nearer.shape, corner, strict=True)])
+    for_bands(_behind_kernels.choose_blocks, len(unlike), nearer, cover, gap, LEAST_GAP * own, corner, unlike)
     return gap, unlike
 
 
-def _places(nearer: Image, features: Image, unlike: DoubleArray) -> tuple[IntArray, DoubleArray]:
+def _places(
+    nearer: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray
+) -> tuple[IntArray, DoubleArray]:
     """Return for each block where what was seen around it is most alike, and how unlike.
 
     Notes
@@ -119,9 +127,9 @@ def _places(nearer: Image, features: Image, unlike: DoubleArray) -> tuple[IntArr
     PatchMatch (Barnes et al. 2009), for blocks and with trials that are the same each time.
     """
     places = np.empty((*unlike.shape, 2), np.int64)
-    for_bands(_behind_kernels.try_places, len(unlike), nearer, features, places, unlike)
+    for_bands(_behind_kernels.try_places, len(unlike), nearer, features, corner, places, unlike)
     for _ in range(_behind_kernels.ROUNDS):
         before = places, unlike
         places, unlike = np.empty_like(places), np.empty_like(unlike)
-        for_bands(_behind_kernels.spread_places, len(unlike), nearer, features, *before, places, unlike)
+        for_bands(_behind_kernels.spread_places, len(unlike), nearer, features, corner, *before, places, unlike)
     return places, unlike

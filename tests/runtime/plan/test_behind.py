@@ -7,6 +7,7 @@ from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.plan.divide import divide_frame
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
+from spreadlets.scene.raster import Raster, Window
 
 CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.05, focus_distance_m=4.0)
 SIZE, POST = 64, slice(28, 36)
@@ -101,3 +102,20 @@ def test_any_number_of_threads_gives_the_same(monkeypatch):
         with limit_threads(count):
             found.append(hidden(layer))
     assert all(np.array_equal(*each) for each in zip(*found, strict=True))
+
+
+def test_a_frame_with_overscan_finds_what_the_wide_frame_does():
+    wide = post_before(checkerboard())
+    display = Window(16, 16, 32, 32)
+    found = []
+    for cut in (0, 3):
+        inner = np.s_[cut : SIZE - cut, cut : SIZE - cut]
+        raster = Raster(Window(cut, cut, SIZE - 2 * cut, SIZE - 2 * cut), display)
+        layer = Frame(wide.radiance[inner], wide.depth[inner], raster=raster).layers[0]
+        pixels = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True)).pixel_sets[-1]
+        drawn = pixels.weight > 0
+        rows, cols = pixels.labels.view.places.at[drawn].T + cut
+        colours = np.zeros((SIZE, SIZE, 4))
+        colours[rows, cols] = pixels.radiance[drawn]
+        found.append(colours[24:40, 24:40])
+    assert found[0].any() and np.abs(found[0] - found[1]).max() < 1e-5
