@@ -14,6 +14,8 @@ MOST = 3
 """Surfaces of a pixel."""
 PURITY_POWER = 8
 """How much the purer of a surface's pixels count: one that is a fifth of another surface counts a sixth."""
+LONGEST = 5
+"""Steps, px, to either side along an edge."""
 ALONG = 2.0
 """Deviation, px, along a straight edge of the mean that tells how a surface covers a pixel."""
 ACROSS = 0.6
@@ -119,58 +121,53 @@ def _number_surfaces(place, row, col, bounds, count, which):
 
 
 @helper
-def _edge_share(which, number, near):
-    """Return how much of a pixel a surface covers, by its mean along the edge.
+def _share_between(place, y, x, low, high):
+    """Return the share of places from ``low`` to ``high`` at a point, by bilinear interpolation."""
+    height, width = place.shape
+    i, j = math.floor(y), math.floor(x)
+    down, across = y - i, x - j
+    above, below = min(max(i, 0), height - 1), min(max(i + 1, 0), height - 1)
+    left, right = min(max(j, 0), width - 1), min(max(j + 1, 0), width - 1)
+    upper = (1.0 - across) * (low <= place[above, left] <= high) + across * (low <= place[above, right] <= high)
+    lower = (1.0 - across) * (low <= place[below, left] <= high) + across * (low <= place[below, right] <= high)
+    return upper + down * (lower - upper)
+
+
+@helper
+def _edge_share(place, row, col, low, high, which, number):
+    """Return how much of a pixel a surface covers, whose places are from ``low`` to ``high``, by its mean along the edge.
 
     Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
     filter about 2 px wide shows it. The direction is that of the least change around the pixel (structure tensor).
     """
-    # Mark what is inside.
-    half = len(which) // 2
-    total_inside = 0
-    for i in range(7):
-        for j in range(7):
-            near[i, j] = which[half - 3 + i, half - 3 + j] == number
-            total_inside += near[i, j]
-    if total_inside == 0 or total_inside == 49:
-        return np.float64(near[3, 3])
     # Sum up the structure tensor of the marks (Sobel gradients).
     xx = yy = xy = 0.0
     for i in range(1, 6):
         for j in range(1, 6):
-            falling = near[i + 1, j + 1] - near[i - 1, j - 1]
-            rising = near[i - 1, j + 1] - near[i + 1, j - 1]
-            across = falling + rising + 2 * (near[i, j + 1] - near[i, j - 1])
-            down = falling - rising + 2 * (near[i + 1, j] - near[i - 1, j])
+            falling = (which[i + 1, j + 1] == number) - (which[i - 1, j - 1] == number)
+            rising = (which[i - 1, j + 1] == number) - (which[i + 1, j - 1] == number)
+            across = falling + rising + 2 * ((which[i, j + 1] == number) - (which[i, j - 1] == number))
+            down = falling - rising + 2 * ((which[i + 1, j] == number) - (which[i - 1, j] == number))
             weight = GRADIENT_WEIGHT[i - 1, j - 1]
             xx += weight * (across * across)
             yy += weight * (down * down)
             xy += weight * (across * down)
     if xx + yy == 0.0:
-        return np.float64(near[3, 3])
+        return np.float64(low <= place[row, col] <= high)
     # Turn into the direction of least change, and filter the longer, the straighter the edge is.
-    coherence = math.hypot(xx - yy, 2.0 * xy) / (xx + yy)
-    angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi
-    step_row, step_col = math.sin(angle), math.cos(angle)
-    falloff = math.exp(-0.5 / (ALONG * coherence**2 + ACROSS) ** 2)
-    # Filter along it, with bilinear interpolation.
-    total, share = 0.0, 0.0
-    for step in range(1 - half, half):
-        weight = falloff ** (step * step)
-        y, x = half + step * step_row, half + step * step_col
-        i, j = int(y), int(x)
-        down, across = y - i, x - j
-        inside = 0.0
-        if which[i, j] == number:
-            inside += (1.0 - down) * (1.0 - across)
-        if which[i, j + 1] == number:
-            inside += (1.0 - down) * across
-        if which[i + 1, j] == number:
-            inside += down * (1.0 - across)
-        if which[i + 1, j + 1] == number:
-            inside += down * across
-        total += weight
-        share += weight * inside
+    size = math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
+    double_cosine = (xx - yy) / size if size > 0.0 else 1.0
+    step_row = math.sqrt(0.5 * (1.0 + double_cosine))
+    step_col = math.sqrt(max(0.5 * (1.0 - double_cosine), 0.0)) * (-1.0 if xy > 0.0 else 1.0)
+    falloff = math.exp(-0.5 / (ALONG * (size / (xx + yy)) ** 2 + ACROSS) ** 2)
+    # Filter along it, with bilinear interpolation; each Gaussian weight follows from the one before.
+    weight, ratio = 1.0, falloff
+    total, share = 1.0, np.float64(low <= place[row, col] <= high)
+    for step in range(1, LONGEST + 1):
+        weight, ratio = weight * ratio, ratio * falloff * falloff
+        total += 2.0 * weight
+        for side in (-step, step):
+            share += weight * _share_between(place, row + side * step_row, col + side * step_col, low, high)
     return share / total
 
 
@@ -306,18 +303,21 @@ def _divide(colour, mean, variance, share, count, colours):
 
 
 @helper
-def _find_sources(place, purity, row, col, bounds, count, source, trust):
+def _find_sources(purity, row, col, which, count, source, trust):
     """Fill row and column of the nearest pixel of each surface, of two the purer; and how far to trust its share."""
-    height, width = place.shape
+    height, width = purity.shape
     for s in range(count):
-        nearest = math.inf
-        for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
-            for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
-                distance = (i - row) ** 2 + (j - col) ** 2 - 0.5 * purity[i, j]
-                if bounds[s, 0] <= place[i, j] <= bounds[s, 1] and distance < nearest:
-                    nearest = distance
-                    source[s, 0], source[s, 1] = i, j
-        trust[s] = TRUST_NEAR if nearest < 2.0 else TRUST_FAR
+        trust[s] = math.inf
+    # Find the nearest pixels, and keep their distances for now.
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+            s = which[i - row + COLOUR_REACH, j - col + COLOUR_REACH]
+            distance = (i - row) ** 2 + (j - col) ** 2 - 0.5 * purity[i, j]
+            if s >= 0 and distance < trust[s]:
+                trust[s] = distance
+                source[s, 0], source[s, 1] = i, j
+    for s in range(count):
+        trust[s] = TRUST_NEAR if trust[s] < 2.0 else TRUST_FAR
 
 
 @helper
@@ -373,7 +373,7 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
     """
     window = (2 * REACH + 1) ** 2
     spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
-    which, near = np.empty((13, 13), np.int8), np.empty((7, 7), np.int64)
+    which = np.empty((2 * COLOUR_REACH + 1, 2 * COLOUR_REACH + 1), np.int8)
     sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
     each, trust = np.empty(MOST), np.ones(MOST)
     mixed = 0
@@ -396,10 +396,10 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
             total = 0.0
             _number_surfaces(place, row, col, bounds, count, which)
             for s in range(count):
-                each[s] = _edge_share(which, s, near)
+                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s)
                 total += each[s]
             each /= total
-            _find_sources(place, weights[0], row, col, bounds, count, source[row, col], trust)
+            _find_sources(weights[0], row, col, which, count, source[row, col], trust)
             if count == 2 and known[row, col] >= 0.0:
                 nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
