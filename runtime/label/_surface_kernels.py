@@ -135,7 +135,7 @@ def _share_between(place, y, x, low, high):
 
 @helper
 def _edge_share(place, row, col, low, high, which, number):
-    """Return how much of a pixel a surface covers, whose places are from ``low`` to ``high``, by its mean along the edge.
+    """Return how much of a pixel a surface covers, with places from ``low`` to ``high``, by its mean along the edge.
 
     Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
     filter about 2 px wide shows it. The direction is that of the least change around the pixel (structure tensor).
