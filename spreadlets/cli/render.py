@@ -99,7 +99,8 @@ class _Job(NamedTuple):
 )
 @effect_options("Leave")
 @splatting_options(
-    layers="the frame's own, else as many as it needs, at most 12", fireflies="Dim pixels brighter than this times any other around them."
+    layers="the frame's own, else as many as it needs, at most 12",
+    fireflies="Dim pixels brighter than this times any other around them.",
 )
 @input_options
 @cloup.option_group(
