@@ -21,7 +21,7 @@ from spreadlets.runtime.plan import _behind_kernels
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.scene.frame import Layer
 
-LEAST_GAP = 1.0
+LEAST_GAP = 1.5
 """Width of gaps, in a layer's own blur, from which its texture shows in them; narrower ones its blur fills."""
 FAR_BLUR = 2.0
 """How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
