@@ -17,7 +17,7 @@ def page(chromium, command):
     opened = chromium.new_page(viewport={"width": 1280, "height": 800})
     opened.set_default_timeout(60_000)
     wrong = []
-    opened.on("pageerror", wrong.append)
+    opened.on("pageerror", lambda error: wrong.append(error))
     opened.on("request", lambda request: wrong.append(request.url) if "127.0.0.1" not in request.url[:30] else None)
     opened.goto(command)
     opened.wait_for_function(READY)

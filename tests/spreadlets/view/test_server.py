@@ -241,17 +241,14 @@ def test_keys_come_back_as_cameras(server):
             fetch(server, "/cameras.zip", data=bad)
 
 
-@pytest.mark.filterwarnings("ignore:.*has no axis 'motion'")
-def test_an_image_may_be_the_psf(server, tmp_path, monkeypatch):
+def test_an_image_may_be_the_psf_once_it_was_sent(server):
     from PIL import Image
 
-    monkeypatch.setenv("SPREADLETS_BOKEH_CACHE", str(tmp_path))
     file = BytesIO()
     Image.fromarray(np.full((5, 5), 255, np.uint8)).save(file, "PNG")
     kernel = json.loads(fetch(server, "/kernel", data=file.getvalue())[0])["kernel"]
-    with live(server) as page:
-        ask(page, 1, kernel=kernel, max_coc=2.0)
-        assert "--kernel" in full(page, 1)[0]["command"]
+    settings = server._settings({"settings": {"kernel": kernel}})
+    assert settings.model(moving=True) == sp.models.Stylized(image=server.studio.kernels[kernel])
     for bad in (b"no picture", b"", file.getvalue()[:40]):
         with pytest.raises(urllib.error.HTTPError, match="400"):
             fetch(server, "/kernel", data=bad)
