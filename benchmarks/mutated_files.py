@@ -29,10 +29,12 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import h5py
 import numpy as np
+import OpenEXR
 from PIL import Image
 
 RESULTS = Path(__file__).parent / "results"
@@ -40,8 +42,10 @@ RESULTS = Path(__file__).parent / "results"
 SHARES = {
     "database": 0.25,
     "database values": 0.125,
-    "frame": 0.15,
-    "samples": 0.075,
+    "frame": 0.075,
+    "tiles": 0.05,
+    "parts": 0.05,
+    "samples": 0.05,
     "deep": 0.125,
     "tlfr binary": 0.05,
     "tlfr text": 0.05,
@@ -53,6 +57,8 @@ SHARES = {
 }
 """Part of all files that is of each kind."""
 
+TILE = 8
+"""Columns and rows of a tile."""
 LIMIT_BYTES = 32 << 20
 HANG_S = 120.0
 BATCH = 1000
@@ -197,6 +203,9 @@ def write_samples_of_every_kind(folder: Path) -> None:
     depth = rng.uniform(1.0, 9.0, shape).astype(np.float32)
     motion = rng.normal(0.0, 2.0, (*shape, 2)).astype(np.float32)
     exr.write_frame(folder / "frame", Frame(radiance, depth, motion))
+    half = Frame(0.5 * radiance, depth + np.float32(0.5), motion)
+    exr.write_frame(folder / "parts", Frame.from_layers([half, Frame(radiance[..., :3], depth + np.float32(9))]))
+    write_tiles(folder / "tiles", {**dict(zip("RGBA", radiance.transpose(2, 0, 1), strict=True)), "Z": depth})
     many = [np.stack([each, each], axis=2) for each in (radiance[..., :3], depth, motion)]
     samples = SampleBuffer(
         many[0],
@@ -224,6 +233,15 @@ def write_samples_of_every_kind(folder: Path) -> None:
         picture.convert("RGB").save(folder / name, name.upper())
     text = {"focal_length_mm": 50.0, "sensor_width_mm": 36.0, "f_number": 2.0, "focus_distance_m": 4.0}
     (folder / "camera").write_text(json.dumps(text | {"shutter_open_close_frames": [-0.25, 0.25]}))
+
+
+def write_tiles(path: Path, channels: dict[str, np.ndarray]) -> None:
+    """Write a file of 8 x 8 tiles."""
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = TILE
+    header = {"type": OpenEXR.tiledimage, "compression": OpenEXR.ZIP_COMPRESSION, "tiles": tiles}
+    header |= {"framesPerSecond": Fraction(24, 1), "expTime": 0.01, "owner": "nobody", "worldToCamera": np.eye(4)}
+    OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}).write(str(path))
 
 
 class Wrong(Exception):
@@ -308,14 +326,42 @@ def synthesise_of(frame, folder: Path) -> None:
     sp.synthesize(frame, sp.ThinLens(50.0, 36.0, 2.0, 4.0), str(folder / "database"), layers=1)
 
 
+def tiled_planes(path: Path) -> list[dict[str, np.ndarray]]:
+    """Read zipped tiles of one part and one level without the library: its planes by name."""
+    from spreadlets.files import exr_chunks
+
+    with open(path, "rb") as file:
+        file.seek(8)
+        (header,) = exr_chunks._headers(file, exr_chunks.TILED)
+        left, top, right, bottom = header.window
+        width, height = right - left + 1, bottom - top + 1
+        across, down = -(-width // TILE), -(-height // TILE)
+        table = np.frombuffer(file.read(8 * across * down), "<i8").tolist()
+        planes = {name: np.empty((height, width), dtype) for name, dtype in header.types.items()}
+        for offset in table:
+            file.seek(offset)
+            x, y, _, _, size = np.frombuffer(file.read(20), "<i4")
+            rows, cols = min(TILE, height - y * TILE), min(TILE, width - x * TILE)
+            unpacked = int(rows * cols * sum(dtype.itemsize for dtype in header.types.values()))
+            block = file.read(size)
+            if size < unpacked:
+                block = exr_chunks._reordered(zlib.decompress(block))
+            at = 0
+            for row in range(y * TILE, y * TILE + rows):
+                for name, dtype in header.types.items():
+                    planes[name][row, x * TILE : x * TILE + cols] = np.frombuffer(block, dtype, cols, at)
+                    at += int(cols) * dtype.itemsize
+    return [planes]
+
+
 def flat_planes(path: Path) -> list[dict[str, np.ndarray]]:
     """Read flat zipped scanlines without the library: a list of parts, each with its planes by name."""
     from spreadlets.files import exr_chunks
 
     parts = []
     with open(path, "rb") as file:
-        multi_part = bool(np.frombuffer(file.read(8), "<u4")[1] & exr_chunks.MULTI_PART)
-        headers = exr_chunks._headers(file, multi_part)
+        version = int(np.frombuffer(file.read(8), "<u4")[1])
+        multi_part, headers = bool(version & exr_chunks.MULTI_PART), exr_chunks._headers(file, version)
         n_chunks = [(header.window[3] - header.window[1]) // 16 + 1 for header in headers]
         tables = [np.frombuffer(file.read(8 * n), "<i8").tolist() for n in n_chunks]
         for header, table in zip(headers, tables, strict=True):
@@ -342,27 +388,39 @@ def flat_planes(path: Path) -> list[dict[str, np.ndarray]]:
 
 def read_frame_file(path: Path, original: Path) -> Further:
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_parts import read_parts
+    from spreadlets.files.exr_file import ExrFile
 
     frame = exr.read_frame(path)
-    compare_flat(path, original, read_parts(path))
+    with ExrFile(path) as file:
+        compare_flat(path, original, file.parts)
+    return lambda: synthesise_of(frame, original.parent)
+
+
+def read_tiled_file(path: Path, original: Path) -> Further:
+    from spreadlets.files import exr_frames as exr
+    from spreadlets.files.exr_file import ExrFile
+
+    frame = exr.read_frame(path)
+    with ExrFile(path) as file:
+        compare_flat(path, original, file.parts, tiled_planes)
     return lambda: synthesise_of(frame, original.parent)
 
 
 def read_samples_file(path: Path, original: Path) -> None:
-    from spreadlets.files.exr_parts import read_parts
+    from spreadlets.files.exr_file import ExrFile
     from spreadlets.files.exr_samples import read_samples
 
     read_samples(path)
-    compare_flat(path, original, read_parts(path))
+    with ExrFile(path) as file:
+        compare_flat(path, original, file.parts)
 
 
-def compare_flat(path: Path, original: Path, parts: list) -> None:
+def compare_flat(path: Path, original: Path, parts: list, reader: Callable = flat_planes) -> None:
     """Compare with an independent reader; where that has lost the thread and the library found it, the original."""
     try:
-        compare_planes(parts, flat_planes(path))
+        compare_planes(parts, reader(path))
     except (ValueError, EOFError, OSError, KeyError, IndexError, zlib.error, Wrong):
-        compare_planes(parts, flat_planes(original))
+        compare_planes(parts, reader(original))
 
 
 def compare_planes(parts: list, expected: list[dict[str, np.ndarray]]) -> None:
@@ -378,20 +436,19 @@ def compare_planes(parts: list, expected: list[dict[str, np.ndarray]]) -> None:
 def read_deep_file(path: Path, original: Path) -> Further:
     """Read a deep image; compare with the library's own reader, with the original where that is stricter than zlib."""
     from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_chunks import read_deep_part
+    from spreadlets.files.exr_file import ExrFile
 
     frame = exr.read_frame(path)
     expected = deep_channels(path) or deep_channels(original)
-    for name, values in read_deep_part(path, 0).channels.items():
-        agree(name, values, expected[name])
+    with ExrFile(path) as file:
+        for name, values in file.deep_part(0).channels.items():
+            agree(name, values, expected[name])
     return lambda: synthesise_of(frame, original.parent)
 
 
 def deep_channels(path: Path) -> dict[str, np.ndarray]:
     """Read the samples of each channel by the library; none if it refuses them."""
-    import OpenEXR
-
-    from spreadlets.files.exr_parts import library_messages
+    from spreadlets.files.exr_file import library_messages
 
     with library_messages():
         parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -519,6 +576,8 @@ READERS: dict[str, Callable[[Path, Path], Further | None]] = {
     "database": read_database,
     "database values": read_database_as_stored,
     "frame": read_frame_file,
+    "tiles": read_tiled_file,
+    "parts": read_frame_file,
     "samples": read_samples_file,
     "deep": read_deep_file,
     "tlfr binary": read_tlfr_file,
@@ -537,8 +596,7 @@ READERS: dict[str, Callable[[Path, Path], Further | None]] = {
 def lower_limits() -> None:
     """Hold the readers to `LIMIT_BYTES`, so that what exceeds the limits is small enough to be tried by thousands."""
     import spreadlets.psf.database as database
-    from spreadlets.files import deep, tlfr
-    from spreadlets.files import exr_parts as exr_file
+    from spreadlets.files import deep, exr_file, tlfr
     from spreadlets.psf import database_file
 
     for module in (deep, exr_file, tlfr):

@@ -22,8 +22,8 @@ import OpenEXR
 
 import spreadlets as sp
 from spreadlets.errors import SpreadletsError
-from spreadlets.files.attributes import carried_attributes
-from spreadlets.files.exr_parts import read_headers, window
+from spreadlets.files.exr_file import ExrFile
+from spreadlets.files.exr_parts import window
 from spreadlets.scene.raster import Raster, Window
 
 RESULTS = Path(__file__).parent / "results"
@@ -57,12 +57,13 @@ def row(path: Path, name: str, folder: Path) -> str:
         raster = blurred(path, folder)
     except SpreadletsError as error:
         return f"{name:<34}{str(error).removeprefix(f'{path}: ')[:80]}  refused"
-    header = read_headers(folder / "out.exr")[0]
+    with ExrFile(folder / "out.exr") as result:
+        header, attributes = result.headers[0], result.attributes[0]
     own, written = raster.stored or raster.data, window(header["dataWindow"])
     same = {
         "display": window(header["displayWindow"]) == raster.display,
         "aspect": float(header["pixelAspectRatio"]) == raster.pixel_aspect,
-        "attributes": carried_attributes(folder / "out.exr")[0] == from_file(path, raster),
+        "attributes": attributes == from_file(path, raster),
     }
     verdict = "equal" if own == written else "grown" if own.union(written) == written else "LOST"
     marks = "".join(
@@ -78,8 +79,9 @@ def blurred(path: Path, folder: Path) -> Raster:
     """Read, blur and write a file; return where the frame's pixels lay."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        header = read_headers(path)[0]
-        channels = {channel.name for part in read_headers(path) for channel in part["channels"]}
+        with ExrFile(path) as file:
+            header = file.headers[0]
+            channels = {channel.name for part in file.headers for channel in part["channels"]}
         if "Z" in channels:
             frame = sp.read_frame(path)
         else:
@@ -99,7 +101,8 @@ def plane(path: Path, header: dict) -> Path:
 
 def from_file(path: Path, raster: Raster) -> dict:
     """Return the attributes of the part of a file that has the frame's data window."""
-    parts = zip(read_headers(path), carried_attributes(path), strict=True)
+    with ExrFile(path) as file:
+        parts = list(zip(file.headers, file.attributes, strict=True))
     own = raster.stored or raster.data
     found = [attributes for header, attributes in parts if window(header["dataWindow"]) == own]
     return next((attributes for attributes in found if attributes == raster.attributes), found[0])

@@ -1,6 +1,7 @@
 """The rendered frames that several studies share, and pictures of results beside their references."""
 
 import argparse
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from spreadlets.scene.display import display_encode
 
 SCENES = ("coins", "whirl", "fence")
 RESULTS = Path(__file__).parent / "results"
+DATA, TESTS = Path(sp.__file__).parent / "data", Path(__file__).parent.parent / "tests" / "data"
+SHIPPED = {"coins": (TESTS,), "fence": (DATA, TESTS)}
+"""Where the small frames that ship are: 256 x 256 px, see `benchmarks/shipped_frames.py`."""
 DIFFERENCE_GAIN = 4
 DIFFERENCE_LEVELS = 32
 """Steps of the difference in a picture: enough to see it, few enough to keep the file small."""
@@ -20,45 +24,69 @@ DIFFERENCE_LEVELS = 32
 class Scene:
     """A rendered frame in all its forms, each read when it is first asked for."""
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self.folder, self.name = folder, name
-        self.camera = sp.read_camera(folder / f"{name}.json")
+    def __init__(self, name: str, *folders: Path) -> None:
+        self.name, self.folders = name, folders
+        self.camera = sp.read_camera(self.path(".json"))
+
+    def path(self, ending: str) -> Path:
+        """Return the path of a file, such as that which ends with ``_pinhole.exr``."""
+        paths = [folder / f"{self.name}{ending}" for folder in self.folders]
+        return next((path for path in paths if path.exists()), paths[0])
 
     @cached_property
     def pinhole(self) -> sp.Frame:
         """The frame in one layer."""
-        return sp.read_frame(self.folder / f"{self.name}_pinhole.exr")
+        return sp.read_frame(self.path("_pinhole.exr"))
 
     @cached_property
     def layered(self) -> sp.Frame:
         """The frame in layers, nearest first, hidden surfaces present."""
-        paths = sorted(self.folder.glob(f"{self.name}_layer?.exr"))
-        return sp.Frame.from_layers([sp.read_frame(path) for path in paths])
+        paths = [self.path(f"_layer{k}.exr") for k in range(10)]
+        return sp.Frame.from_layers([sp.read_frame(path) for path in paths if path.exists()])
 
     @cached_property
     def samples(self) -> sp.SampleBuffer:
         """Labelled stochastic samples."""
-        return sp.read_samples(self.folder / f"{self.name}_samples.exr")
+        return sp.read_samples(self.path("_samples.exr"))
+
+    def counts(self, wanted: Sequence[int]) -> list[int]:
+        """Return the numbers of samples in a pixel that there are, of those that are wanted."""
+        return [count for count in wanted if count <= self.samples.n_samples]
 
     @cached_property
     def reference(self) -> np.ndarray:
         """What the renderer makes of lens and shutter."""
-        return sp.read_image(self.folder / f"{self.name}_ref_dofmb.exr")
+        return sp.read_image(self.path("_ref_dofmb.exr"))
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
     """Return a parser with the option of all studies on these frames."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--frames", type=Path, default=Path("frames"))
+    made.add_argument(
+        "--frames",
+        type=Path,
+        default=Path("frames"),
+        help="folder of the frames at full size (default: frames); without them, the small ones that ship are taken",
+    )
     return made
 
 
-def scenes(folder: Path) -> list[Scene]:
-    """Return the scenes of a folder, or say that there are none and return an empty list."""
-    if not (folder / "coins_pinhole.exr").exists():
-        print(f"skipped: no frames in {folder}")
-        return []
-    return [Scene(folder, name) for name in SCENES]
+def scenes(folder: Path, *needed: str) -> list[Scene]:
+    """Return the scenes of a folder, or else of the small frames that ship, that have what is needed; say which.
+
+    Parameters
+    ----------
+    folder : path
+    *needed : str
+        Endings of files, such as ``_samples.exr``.
+    """
+    whole = (folder / "coins_pinhole.exr").exists()
+    places = dict.fromkeys(SCENES, (folder,)) if whole else SHIPPED
+    found = [Scene(name, *folders) for name, folders in places.items()]
+    found = [scene for scene in found if all(scene.path(ending).exists() for ending in needed)]
+    names = ", ".join(scene.name for scene in found) or "none"
+    print(f"frames of {folder}: {names}" if whole else f"no frames in {folder}; small frames that ship: {names}")
+    return found
 
 
 def save_pictures(path: Path, images: list[np.ndarray], reference: np.ndarray, shrink: int = 2) -> None:

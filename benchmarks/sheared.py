@@ -168,7 +168,7 @@ def quality(report: Report, scene: Scene) -> None:
     report.row(f"{scene.name} at rest, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
     shown = [still[method][-1] for method in ("sheared", "axis-aligned", "mean")]
     save_pictures(RESULTS / f"sheared_{scene.name}_at_rest.png", shown, truth, shrink=3)
-    defocus = sp.read_image(scene.folder / f"{scene.name}_ref_dof.exr")
+    defocus = sp.read_image(scene.path("_ref_dof.exr"))
     moved = compare_methods(report, f"{scene.name} moved", taken, scene.camera, defocus, METHODS[1:])
     gains = [gain(a, b, defocus) for a, b in zip(moved["sheared"], moved["axis-aligned"], strict=True)]
     report.row(f"{scene.name} moved, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")

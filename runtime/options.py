@@ -25,7 +25,9 @@ DENOISERS = ("bm3d", "oidn")
 
 LAYERED_METHODS = ("sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa")
 """Layered reconstructions by others, see `runtime.sheared`."""
-RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *LAYERED_METHODS, "mean", *DENOISERS)
+PUBLISHED_METHODS = (*LAYERED_METHODS, "tlfr")
+"""Reconstructions by others, with settings of their own: those, and one without layers."""
+RECONSTRUCTION_METHODS = ("spreadlets", "dense", "dense-rows", *PUBLISHED_METHODS, "mean", *DENOISERS)
 SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_clamp", "denoise", "calibrate")
 """Options that mean nothing to methods that do not splat."""
 

@@ -21,7 +21,8 @@ from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
-from spreadlets.runtime.label.pixels import Pixels, Split, frame_pixels, sample_pixels
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.pixels import Split, frame_pixels, sample_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
@@ -100,7 +101,7 @@ def synthesize(
         )
     image = np.zeros((*frame.shape, 4), np.float32)
     with clock.step("plan"):
-        given = [label(layer, curved=database.grid.model.has_motion) for layer in shown]
+        given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
     is_whole = len(given) > 1
     if is_whole and options.layers is not None:
         given = [[pixels for group in given for pixels in group]]
@@ -146,7 +147,7 @@ def reconstruct(
     a layer is a hole in it.
     """
     options, clock, tally = options or Options(), clock or Clock(), Tally()
-    _warn_about_view(database, camera, samples.shape[1])
+    _warn_about_view(database, camera, samples.raster.display.width)
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
@@ -242,9 +243,8 @@ def _add_plan(
             seen = None if visibility is None or last else visibility.seen(number)
             kind = LAST if last else COVERAGE if visibility is None else visibility.kind
             least = LEAST_SEEN if visibility is None else visibility.least
-            add_layer(
-                image, padded, (canvas.top, canvas.left), kind, seen=NOTHING if seen is None else seen, least=least
-            )
+            seen = NOTHING if seen is None else seen
+            add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
         tally.add_canvas(canvas, image.shape)
     tally.add_plan(plan, len(used))
 

@@ -20,6 +20,7 @@ from .photograph.photograph import photo as photo
 from .psf.database import Database as Database
 from .psf.database import open_database as open_database
 from .renderer import Renderer as Renderer
+from .scene.camera import LensKey as LensKey
 from .scene.camera import ThinLens as ThinLens
 from .scene.frame import Frame as Frame
 from .scene.samples import SampleBuffer as SampleBuffer

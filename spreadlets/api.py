@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
@@ -19,6 +19,7 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.doubts import sample_doubts
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
+from spreadlets.scene.squares import squared_samples, unsquared
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
@@ -166,6 +167,7 @@ def reconstruct(
     report: Literal[False] = ...,
     settings: Mapping[str, object] | None = ...,
     clock: Clock | None = ...,
+    progress: Callable[[int, int], None] | None = ...,
     **options: Unpack[RenderOptions],
 ) -> Image: ...
 
@@ -179,6 +181,7 @@ def reconstruct(
     report: Literal[True],
     settings: Mapping[str, object] | None = ...,
     clock: Clock | None = ...,
+    progress: Callable[[int, int], None] | None = ...,
     **options: Unpack[RenderOptions],
 ) -> tuple[Image, Report]: ...
 
@@ -191,6 +194,7 @@ def reconstruct(
     report: bool = False,
     settings: Mapping[str, object] | None = None,
     clock: Clock | None = None,
+    progress: Callable[[int, int], None] | None = None,
     **options: Unpack[RenderOptions],
 ) -> Image | tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples that hold lens and shutter already.
@@ -204,11 +208,15 @@ def reconstruct(
     method : str
         ``spreadlets``: sparse Laplacian splatting. ``dense``, ``dense-rows``: the same PSFs drawn in full. ``sheared``,
         ``axis-aligned``: layered reconstruction (SLR 2015). ``lrdm``, ``lrdm-sheared``, ``lrdm-ewa``: of motion, too
-        (LRDM 2014, and with two faster screen filters of 2015). ``mean``: the mean of each pixel's samples, the plain
+        (LRDM 2014, and with two faster screen filters of 2015). ``tlfr``: of both, with exact visibility, slow (TLFR
+        2011). ``mean``: the mean of each pixel's samples, the plain
         Monte Carlo image. ``bm3d``, ``oidn``: that image, denoised, with the optional packages of that name.
     settings : mapping, optional
-        Of a layered reconstruction, by name, see the fields of `runtime.sheared.slr.Slr` and
-        `runtime.sheared.lrdm.Lrdm`; there, ``layers`` is the number of partitions over both sides of focus.
+        Of a method that others have published, by name, see the fields of `runtime.sheared.slr.Slr`,
+        `runtime.sheared.lrdm.Lrdm` and `runtime.sheared.tlfr.Tlfr`; in the first two, ``layers`` is the number of
+        partitions over both sides of focus.
+    progress : callable, optional
+        Told, by the methods that have settings, how many parts of the image are done, and of how many.
     denoise : {"oidn", "bm3d"}, optional
         Denoise what is sharp and still, which splatting cannot clean, with the optional package of that name; by
         default off. For methods that splat.
@@ -253,8 +261,8 @@ def reconstruct(
     """
     from spreadlets.runtime import render
     from spreadlets.runtime.options import (
-        LAYERED_METHODS,
         METHODS,
+        PUBLISHED_METHODS,
         RECONSTRUCTION_METHODS,
         Options,
         check_for_samples,
@@ -265,15 +273,17 @@ def reconstruct(
     check_method(method, RECONSTRUCTION_METHODS)
     check_for_samples(options)
     _warn(sample_doubts(samples, camera))
-    camera = camera.fitted(samples.shape)
-    if settings and method not in LAYERED_METHODS:
-        raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(LAYERED_METHODS)}")
+    camera = camera.fitted(samples.raster.display.shape, samples.raster.pixel_aspect)
+    squares = squared_samples(samples)
+    if settings and method not in PUBLISHED_METHODS:
+        raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(PUBLISHED_METHODS)}")
     if method not in METHODS:
-        image, figures = _without_splatting(samples, camera, method, settings or {}, clock, options)
-        return (image, figures) if report else image
-    chosen = Options.of(**options)
-    with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
-        image, figures = render.reconstruct(samples, camera, opened, chosen, clock, *full_psfs(opened, chosen))
+        image, figures = _without_splatting(squares, camera, method, settings or {}, clock, progress, options)
+    else:
+        chosen = Options.of(**options)
+        with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
+            image, figures = render.reconstruct(squares, camera, opened, chosen, clock, *full_psfs(opened, chosen))
+    image = unsquared(image, samples.raster)
     return (image, figures) if report else image
 
 
@@ -283,10 +293,11 @@ def _without_splatting(
     method: str,
     settings: Mapping[str, object],
     clock: Clock | None,
+    progress: Callable[[int, int], None] | None,
     options: RenderOptions,
 ) -> tuple[Image, Report]:
     """Reconstruct with a method that needs no database."""
-    from spreadlets.runtime.options import DENOISERS, LAYERED_METHODS, SPLATTING_OPTIONS, Options
+    from spreadlets.runtime.options import DENOISERS, PUBLISHED_METHODS, SPLATTING_OPTIONS, Options
 
     # Find the options that were changed, and refuse those of splatting.
     default = Options()
@@ -296,14 +307,14 @@ def _without_splatting(
     for name in SPLATTING_OPTIONS:
         if name in changed:
             raise InvalidParameterError(f"{name} is no option of method {method!r}")
-    # Filter sheared light fields in layers.
-    if method in LAYERED_METHODS:
+    # Reconstruct as others have published it.
+    if method in PUBLISHED_METHODS:
         from spreadlets.runtime.sheared import reconstruct as layered
 
         if "layers" in changed:
             settings = {"layers": changed.pop("layers"), **settings}
         made = layered.make_method(method, settings)
-        return layered.reconstruct(samples, camera, made, **changed, clock=clock)
+        return layered.reconstruct(samples, camera, made, **changed, clock=clock, progress=progress)
     # Or average the samples of each pixel, and denoise if that was asked for.
     for name in changed:
         raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")

@@ -32,6 +32,8 @@ Kernel = Callable[..., Any]
 PACKAGE = Path(__file__).resolve().parent
 USUAL: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 """What Numba is told of every kernel and helper; nothing calls them from C."""
+TEMPORARY = "spreadlets-"
+"""What the name of a folder that ends with the process begins with."""
 logger = logging.getLogger("spreadlets")
 _kernels: set[Kernel] = set()
 
@@ -101,7 +103,7 @@ def kernel_folder() -> Path:
     if _can_be_written(own):
         folder = own
     else:
-        folder = Path(tempfile.mkdtemp(prefix="spreadlets-"))
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         warnings.warn(
             f"kernels are compiled again in each run: neither {str(shipped)!r} nor {str(own)!r} can be written to; "
@@ -187,7 +189,8 @@ class _Announcement(numba.core.event.Listener):
     def on_start(self, event: numba.core.event.Event) -> None:
         if event.data["dispatcher"] in _kernels:
             if not self.count:
-                logger.info("compiling once: kernels are kept for later runs in %s", kernel_folder())
+                runs = "this run" if kernel_folder().name.startswith(TEMPORARY) else "later runs"
+                logger.info("compiling once: kernels are kept for %s in %s", runs, kernel_folder())
             self.count += 1
 
     def on_end(self, event: numba.core.event.Event) -> None:

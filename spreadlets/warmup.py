@@ -14,7 +14,7 @@ from spreadlets.arrays import Image
 from spreadlets.compiled import count_compiled, kernel_folder
 from spreadlets.psf.database import shipped_folder
 from spreadlets.runtime.clock import Clock
-from spreadlets.runtime.options import LAYERED_METHODS, METHODS
+from spreadlets.runtime.options import METHODS, PUBLISHED_METHODS
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.samples import SampleBuffer
@@ -91,7 +91,7 @@ def _other_runs() -> Iterator[Callable[[], Any]]:
     frame, samples = _frame(), _samples()
     for method in METHODS[1:]:
         yield partial(synthesize, frame, CAMERA, "combined", method=method)
-    for method in LAYERED_METHODS:
+    for method in PUBLISHED_METHODS:
         yield partial(reconstruct, samples, CAMERA, method=method)
 
 

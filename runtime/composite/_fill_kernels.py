@@ -87,18 +87,19 @@ def add_layer(begin, end, image, padded, top, left, seen, kind):
 
 
 @kernel
-def pull_sums(begin, end, padded, top, left, seen, kind, shape, coarse):
+def pull_sums(begin, end, padded, top, left, seen, kind, shape, odd, coarse):
     """Fill ``coarse`` (H / 2, W / 2, 5), float32, with a layer's sums and their measure over 2 x 2 pixels.
 
-    Other arguments are those of `add_layer`; ``shape`` is that of its image.
+    Other arguments are those of `add_layer`; ``shape`` is that of its image, and ``odd`` (2 integers) is 1 where the
+    image's first row or column is the second of its pair.
     """
     rows, cols = padded.shape[:2]
     for row in range(begin, end):
         for col in range(coarse.shape[1]):
             # Sum colour, weight and measure over the block, each pixel as far as it is sure.
             red = green = blue = weight = measure = np.float32(0.0)
-            for y in range(2 * row, min(2 * row + 2, shape[0])):
-                for x in range(2 * col, min(2 * col + 2, shape[1])):
+            for y in range(max(2 * row - odd[0], 0), min(2 * row + 2 - odd[0], shape[0])):
+                for x in range(max(2 * col - odd[1], 0), min(2 * col + 2 - odd[1], shape[1])):
                     i, j = y - top, x - left
                     own = np.float32(0.0)
                     if 0 <= i < rows and 0 <= j < cols:
@@ -116,25 +117,21 @@ def pull_sums(begin, end, padded, top, left, seen, kind, shape, coarse):
 
 
 @kernel
-def pull(begin, end, fine, coarse):
-    """Fill ``coarse`` with the sums of 2 x 2 pixels of ``fine``, both (H, W, 5), float32."""
+def pull(begin, end, fine, odd, coarse):
+    """Fill ``coarse`` with the sums of 2 x 2 pixels of ``fine``, both (H, W, 5), float32; ``odd`` as in `pull_sums`."""
     height, width = fine.shape[:2]
     for row in range(begin, end):
         for col in range(coarse.shape[1]):
-            for c in range(5):
-                total = fine[2 * row, 2 * col, c]
-                if 2 * col + 1 < width:
-                    total += fine[2 * row, 2 * col + 1, c]
-                if 2 * row + 1 < height:
-                    total += fine[2 * row + 1, 2 * col, c]
-                    if 2 * col + 1 < width:
-                        total += fine[2 * row + 1, 2 * col + 1, c]
-                coarse[row, col, c] = total
+            coarse[row, col] = np.float32(0.0)
+            for y in range(max(2 * row - odd[0], 0), min(2 * row + 2 - odd[0], height)):
+                for x in range(max(2 * col - odd[1], 0), min(2 * col + 2 - odd[1], width)):
+                    for c in range(5):
+                        coarse[row, col, c] += fine[y, x, c]
 
 
 @helper
 def _interpolate(coarse, row, col, c):
-    """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one."""
+    """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one, counted from a pair."""
     height, width = coarse.shape[:2]
     near_row, near_col = row // 2, col // 2
     next_row = min(max(near_row + (1 if row % 2 else -1), 0), height - 1)
@@ -146,7 +143,7 @@ def _interpolate(coarse, row, col, c):
 
 
 @kernel
-def push(begin, end, fine, coarse, least):
+def push(begin, end, fine, coarse, odd, least):
     """Divide ``fine`` by its measure where there is enough of it, and fill the rest from ``coarse``, in place.
 
     Parameters
@@ -155,6 +152,8 @@ def push(begin, end, fine, coarse, least):
         Sums and their measure; becomes what they are divided by it.
     coarse : ndarray of shape (H / 2, W / 2, 5), float32
         The same, already divided; interpolated linearly.
+    odd : tuple of two ints
+        See `pull_sums`.
     least : float32
         Measure from which a pixel stands for itself; below, the rest to this measure is filled.
     """
@@ -167,11 +166,13 @@ def push(begin, end, fine, coarse, least):
                 continue
             missing = np.float32(1.0) - measure / least
             for c in range(5):
-                fine[row, col, c] = fine[row, col, c] / least + missing * _interpolate(coarse, row, col, c)
+                fine[row, col, c] = fine[row, col, c] / least + missing * _interpolate(
+                    coarse, row + odd[0], col + odd[1], c
+                )
 
 
 @kernel
-def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
+def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, odd, least):
     """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
     rows, cols = padded.shape[:2]
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -195,6 +196,6 @@ def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, least):
             if measure < least:
                 missing = one - measure / least
                 for c in range(4):
-                    each[c] += missing * _interpolate(coarse, row, col, c)
+                    each[c] += missing * _interpolate(coarse, row + odd[0], col + odd[1], c)
             # Put the layer behind the image.
             _blend(image[row, col], each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)

@@ -13,12 +13,22 @@ LEAST_SEEN = 0.3
 """Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
+FAR_OFF = 0x155555
+"""Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
+2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
 
 __all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_opaque"]
 
 
 def add_layer(
-    image: Image, padded: Image, origin: tuple[int, int], kind: int, *, seen: Image = NOTHING, least: float = LEAST_SEEN
+    image: Image,
+    padded: Image,
+    origin: tuple[int, int],
+    kind: int,
+    *,
+    seen: Image = NOTHING,
+    least: float = LEAST_SEEN,
+    corner: tuple[int, int] = (0, 0),
 ) -> None:
     """Normalise a layer and put it behind an image, in place.
 
@@ -46,27 +56,38 @@ def add_layer(
     seen : ndarray of shape (H, W), float32
     least : float
         Measure from which a pixel stands for itself.
+    corner : tuple of two ints
+        Row and column of the image's first pixel, counted from the picture's centre: the pyramid divides the picture,
+        whatever part of it the image holds.
     """
     bound = np.float32(least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
     if not sum(for_bands(_fill_kernels.count_unseen, len(image), *sums, bound, shape)):
         for_bands(_fill_kernels.add_layer, len(image), image, *sums)
         return
-    levels = [_half_size(image)]
-    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, levels[0])
+    odds = [_odd(corner, 0)]
+    levels = [_half_size(image, odds[0])]
+    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, odds[0], levels[0])
     while max(levels[-1].shape[:2]) > 1:
-        levels.append(_half_size(levels[-1]))
-        for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], levels[-1])
+        odds.append(_odd(corner, len(levels)))
+        levels.append(_half_size(levels[-1], odds[-1]))
+        for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], odds[-1], levels[-1])
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
-    for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        for_bands(_fill_kernels.push, len(fine), fine, coarse, bound)
-    for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], bound)
+    for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
+        for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound)
+    for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], odds[0], bound)
 
 
-def _half_size(image: Image) -> Image:
+def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:
+    """Return whether the first row and column of a level are the second of their pairs, 0 or 1."""
+    row, column = (((place + FAR_OFF) >> level) & 1 for place in corner)
+    return row, column
+
+
+def _half_size(image: Image, odd: tuple[int, int]) -> Image:
     """Return room for sums and their measure over 2 x 2 pixels of an image."""
-    height, width = image.shape[:2]
+    height, width = (size + first for size, first in zip(image.shape[:2], odd, strict=True))
     return np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32)
 
 

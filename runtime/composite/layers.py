@@ -14,7 +14,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.sweep import sweep_blur
 from spreadlets.runtime.label.labels import Labels
-from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.layering import Membership
 
 LEAST_REST = np.float32(1e-6)

@@ -9,7 +9,8 @@ import numpy as np
 from spreadlets.arrays import Image
 from spreadlets.runtime.composite import layers
 from spreadlets.runtime.composite.composite import COUNT, LEAST_SEEN, REST
-from spreadlets.runtime.label.pixels import Pixels, sample_pixels
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.pixels import sample_pixels
 from spreadlets.runtime.plan.layering import BEHIND_ALL
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.scene.camera import ThinLens

@@ -63,20 +63,21 @@ def path_places(begin, end, before, after, time, place):
     ----------
     before, after : ndarray of shape (H, W, 2), float32
         Motion to the frame's time and from it, px per frame.
-    time : float
+    time : ndarray of shape (H, W), float32
         Frames.
     """
     for row in range(begin, end):
         for col in range(before.shape[1]):
+            t = np.float64(time[row, col])
             p = complex(before[row, col, 0], before[row, col, 1])
             n = complex(after[row, col, 0], after[row, col, 1])
-            z = 0.5 * time * (n + p) + 0.5 * time * time * (n - p)
+            z = 0.5 * t * (n + p) + 0.5 * t * t * (n - p)
             if p != 0.0:
                 q = n / p
                 growth, turn = abs(q), math.atan2(q.imag, q.real)
                 even = 1.0 / MOST_GROWTH < growth < MOST_GROWTH and abs(turn) < MOST_TURN
                 if even and abs(q - 1.0) > LEAST_CHANGE:
-                    size, angle = growth**time, turn * time
+                    size, angle = growth**t, turn * t
                     z = n * (complex(size * math.cos(angle), size * math.sin(angle)) - 1.0) / (q - 1.0)
             place[row, col, 0], place[row, col, 1] = z.real, z.imag
 

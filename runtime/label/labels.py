@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -58,6 +59,14 @@ class View(NamedTuple):
     def frame_shape(self) -> tuple[int, int]:
         """Height and width of the frame, px."""
         return (self.depth.shape[0], self.depth.shape[1]) if self.places is None else self.places.frame_shape
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Row and column of the frame's first pixel, counted from the pixel at the picture's centre."""
+        row, column = (
+            -math.floor(0.5 * (size - 1) + away) for size, away in zip(self.frame_shape, self.centre[::-1], strict=True)
+        )
+        return row, column
 
     def position(self) -> FloatArray:
         """Return the place (x, y) of each pixel from the image's centre, px, shape (H, W, 2)."""

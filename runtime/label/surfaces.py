@@ -161,7 +161,7 @@ def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Lay
     """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
     planes: dict[str, Any] = {
         name: _at_sources(getattr(layer, name), source)
-        for name in ("depth", "motion", "motion_prev", "motion_next")
+        for name in ("depth", "motion", "motion_prev", "motion_next", "depth_prev", "depth_next")
         if getattr(layer, name) is not None
     }
     return replace(layer, radiance=colours, **planes)
@@ -169,6 +169,6 @@ def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Lay
 
 def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
     taken = np.empty_like(values)
-    shape = (*values.shape[:2], -1)
+    shape = (*values.shape[:2], values[0, 0].size)
     for_bands(_label_kernels.take, len(values), values.reshape(shape), source, taken.reshape(shape))
     return taken

@@ -17,7 +17,13 @@ BORDER_MEDIAN = 15
 """Length, px, of the median along the border: a highlight shorter than half of it is not continued."""
 
 
-def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], colours: Colours | None) -> SplatPass:
+def extended_pass(
+    frame: SplatPass,
+    share: Image,
+    reach: npt.NDArray[np.int64],
+    colours: Colours | None,
+    corner: tuple[int, int] = (0, 0),
+) -> SplatPass:
     """Return a frame with its pixels weighted, and with what lies beyond its border.
 
     Labels and weights repeat those of the nearest border pixel, as far as its PSF reaches back into the frame.
@@ -32,20 +38,22 @@ def extended_pass(frame: SplatPass, share: Image, reach: npt.NDArray[np.int64], 
         How far each variant's splat reaches from its pixel, px.
     colours : Colours or None
         What lies beyond the border, see `border_colours`; None to end there.
+    corner : tuple of two ints
+        Row and column of the frame's first pixel, counted from the picture's centre.
 
     Returns
     -------
     SplatPass
-        Colours and labels are new arrays, or the frame's own where they are the same. Its first column is a multiple
-        of the largest stride, as that of every pass, so that their blocks fit one canvas.
+        Colours and labels are new arrays, or the frame's own where they are the same. Its first row and column are
+        multiples of the largest stride, counted so, as those of every pass: so blocks fit one canvas, and are the same
+        whatever part of the picture the frame is.
     """
     height, width = frame.label.shape
     top = bottom = left = right = 0
     if colours is not None and len(reach):
         edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
         top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
-        # Blocks of the extended frame are blocks of the frame, whose labels change between them where they can.
-        top, left = (side + -side % STRIDES[-1] for side in (top, left))
+        top, left = (side + (at - side) % STRIDES[-1] for side, at in zip((top, left), corner, strict=True))
     elif not len(share):
         return frame
     shape = top + height + bottom, left + width + right

@@ -26,7 +26,7 @@ from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import HEADINGS
-from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
 from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE, CodedLabels, CodeSteps

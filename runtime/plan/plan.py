@@ -17,7 +17,8 @@ from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
-from spreadlets.runtime.label.pixels import Pixels, frame_pixels
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.label.pixels import frame_pixels
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
@@ -63,6 +64,8 @@ class Plan:
     cells_used : set of int
     pixels_skipped : int
         Pixels that contribute nothing.
+    corner : tuple of int
+        Row and column of the first pixel, counted from the picture's centre.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
     left_out : list of str
@@ -76,6 +79,7 @@ class Plan:
     members: list[Membership]
     cells_used: set[int]
     pixels_skipped: int
+    corner: tuple[int, int]
     error_bound: float = 0.0
     left_out: list[str] = field(default_factory=list)
 
@@ -138,7 +142,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     for layer in frame.layers:
-        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, curved=grid.model.has_motion):
+        for pixels in frame_pixels(layer, camera, defocus=True, motion=True, swept=grid.model.has_motion):
             key, _ = _variant_keys(pixels, grid, cell_start)
             variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
@@ -198,6 +202,7 @@ def plan_pixels(
         members=members,
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
         pixels_skipped=_count_skipped(pixel_sets, chosen.indices),
+        corner=pixel_sets[0].labels.view.corner,
         error_bound=error_bound,
     )
     plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
@@ -433,7 +438,8 @@ def _splat_passes(
     shifted = []
     for pixels, label, weight, colours in parts:
         if pixels.labels.shift is None:
-            yield extended_pass(SplatPass((0, 0), pixels.radiance, label), weight, table.reaches, colours)
+            whole = SplatPass((0, 0), pixels.radiance, label)
+            yield extended_pass(whole, weight, table.reaches, colours, pixels.labels.view.corner)
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at

@@ -1,8 +1,9 @@
-"""Layered sheared-filter reconstructions of sample buffers: the systems that spreadlets are compared with.
+"""Reconstructions of sample buffers that others have published: the systems that spreadlets are compared with.
 
 SLR is *Layered Light Field Reconstruction for Defocus Blur* (Vaidyanathan et al. 2015), LRDM *Layered Reconstruction
-for Defocus and Motion Blur* (Munkberg et al. 2014) with the practical improvements of Hasselgren et al. (2015). Nothing
-outside this package imports it but the public function that is asked for one of its methods. Patents have been
+for Defocus and Motion Blur* (Munkberg et al. 2014) with the practical improvements of Hasselgren et al. (2015), TLFR is
+*Temporal Light Field Reconstruction for Rendering Distribution Effects* (Lehtinen et al. 2011), see docs/tlfr.md.
+Nothing outside this package imports it but the public function that is asked for one of its methods. Patents have been
 published on layered reconstruction (US 9,483,869; 9,672,657; 9,298,006): check before shipping it.
 
 How the parts fit together, in the order of the work:
@@ -21,6 +22,8 @@ How the parts fit together, in the order of the work:
    `lrdm.Lrdm` works in blocks of tiles instead, step by step: set-up (with statistics and layers of its own, which know
    motion), reprojection and the first pass of the screen filters in `_lrdm_kernels` and `_gauss_kernels`, then the
    second pass and compositing.
+   `tlfr.Tlfr` needs no partitions: it moves samples to many views of each pixel, and finds what hides what there; its
+   layers, of what views have seen, are only filtered on the screen.
 6. `reconstruct.METHODS` names the methods; `reconstruct.reconstruct` is what the public function calls.
 
 What the kernels of methods share is in `_tile_kernels`: `blur` (the screen filter, the same along x and y), `composite`

@@ -17,6 +17,7 @@ from spreadlets.parallel import for_each, thread_count
 from spreadlets.runtime.sheared import _gauss_kernels, _lrdm_kernels
 from spreadlets.runtime.sheared._tile_kernels import N_SUMS
 from spreadlets.runtime.sheared.filters import LARGEST_SIGMA
+from spreadlets.runtime.sheared.method import Counter, Progress
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import DEFAULT_TILE, Tiling
 from spreadlets.runtime.sheared.work import WorkSizes
@@ -252,12 +253,13 @@ class LrdmFilter:
     tables: Tables
     set_up_s: float
 
-    def fill(self, image: Image) -> None:
+    def fill(self, image: Image, progress: Progress | None = None) -> None:
         """Fill an image (H, W, 4), block by block; the steps of a block are divided between threads."""
-        sizes = WorkSizes.current()
+        sizes, counter = WorkSizes.current(), Counter(len(self._tiles_of_blocks()), progress)
         for block in self.blocks():
             for name, (work, n) in self.steps(block, image).items():
                 in_parts(work, n, getattr(sizes, name))
+            counter.add()
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks; they share their buffers."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Protocol
 
@@ -10,12 +11,15 @@ from spreadlets.parallel import for_each
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import Tiling
 
+Progress = Callable[[int, int], None]
+"""Told how many parts of the work are done, and of how many."""
+
 
 class TileFilter(Protocol):
     """Filters set up for certain samples and tiles."""
 
-    def fill(self, image: Image) -> None:
-        """Fill an image (H, W, 4) of zeros."""
+    def fill(self, image: Image, progress: Progress | None = None) -> None:
+        """Fill an image (H, W, 4) of zeros, and tell how far it is."""
 
     def figures(self) -> dict[str, float]:
         """Return figures of the set-up for the report, such as ``layers_per_tile``."""
@@ -31,10 +35,31 @@ class Method(Protocol):
         """Find partitions and layers, and set the filters up."""
 
 
-def run(fill_tile: Callable[[int, Image], None], n_tiles: int, image: Image) -> None:
+class Counter:
+    """Counts parts of the work that are done, by any thread, and tells of each."""
+
+    def __init__(self, total: int, progress: Progress | None) -> None:
+        self._done, self._total, self._progress = 0, total, progress
+        self._lock = threading.Lock()
+
+    def add(self) -> None:
+        """Count one more."""
+        with self._lock:
+            self._done += 1
+            if self._progress is not None:
+                self._progress(self._done, self._total)
+
+
+def run(fill_tile: Callable[[int, Image], None], n_tiles: int, image: Image, progress: Progress | None = None) -> None:
     """Fill an image (H, W, 4) tile by tile, several at a time.
 
     Tiles write different pixels and share nothing else, so the image does not depend on the number of threads. The
     kernels of a tile release the interpreter's lock.
     """
-    for_each(lambda tile: fill_tile(tile, image), range(n_tiles))
+    counter = Counter(n_tiles, progress)
+
+    def fill(tile: int) -> None:
+        fill_tile(tile, image)
+        counter.add()
+
+    for_each(fill, range(n_tiles))

@@ -1,4 +1,4 @@
-"""The layered reconstructions by name, and a run of one of them."""
+"""The reconstructions by name, and a run of one of them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.report import Report
 from spreadlets.runtime.sheared.lrdm import Lrdm, PracticalLrdm
-from spreadlets.runtime.sheared.method import Method
+from spreadlets.runtime.sheared.method import Method, Progress
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.slr import Slr
+from spreadlets.runtime.sheared.tlfr import Tlfr
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
@@ -25,6 +26,7 @@ METHODS: dict[str, Callable[..., Method]] = {
     "lrdm": partial(Lrdm, screen_filter="rotated"),
     "lrdm-sheared": partial(PracticalLrdm, screen_filter="sheared"),
     "lrdm-ewa": partial(PracticalLrdm, screen_filter="ewa"),
+    "tlfr": Tlfr,
 }
 """Dataclasses of the methods' settings, some of them fixed."""
 
@@ -64,6 +66,7 @@ def reconstruct(
     defocus: bool = True,
     motion: bool = True,
     clock: Clock | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Image, Report]:
     """Make a clean image of a buffer of stochastic samples.
 
@@ -77,6 +80,8 @@ def reconstruct(
         Without an effect, samples are moved to where they would lie without it.
     clock : Clock, optional
         Where the steps' times are added.
+    progress : callable, optional
+        Told how many parts of the image are done, and of how many.
 
     Returns
     -------
@@ -91,6 +96,6 @@ def reconstruct(
         tiling = method.tiling(flat.shape)
         tile_filter = method.prepare(flat, tiling)
     with clock.step("composite"):
-        tile_filter.fill(image)
+        tile_filter.fill(image, progress)
     plan = {"tiles": len(tiling.inner()), **tile_filter.figures()}
     return image, Report.of(clock, plan)

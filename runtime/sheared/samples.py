@@ -31,10 +31,14 @@ class Samples:
     coc : ndarray of shape (N,), float32
         Signed radius of the circle of confusion, px: seen from the lens's centre at mid-shutter, the sample would be
         at ``place - coc * lens - motion * time``.
+    depth : ndarray of shape (N,), float32
+        Metres, > 0; infinite where a sample met nothing.
     first : ndarray of shape (H * W + 1,), int64
         The samples in pixel ``row * W + col`` are ``first[pixel]`` to ``first[pixel + 1] - 1``.
     shape : tuple of int
         Height and width of the image, px.
+    half_shutter : float
+        Frames from the middle of the shutter to where it opens or closes.
     """
 
     colour: FloatArray
@@ -43,8 +47,10 @@ class Samples:
     time: FloatArray
     motion: FloatArray
     coc: FloatArray
+    depth: FloatArray
     first: IntArray
     shape: tuple[int, int]
+    half_shutter: float
 
     @classmethod
     def from_buffer(
@@ -70,7 +76,8 @@ class Samples:
         rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None, None], buffer.depth.shape)
         cols = np.broadcast_to(np.arange(width, dtype=np.float32)[None, :, None], buffer.depth.shape)
         place = _those(np.stack([cols, rows], axis=-1) + buffer.offset, there)
-        coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, width)
+        shown = buffer.raster.display.width
+        coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, shown)
         time = buffer.time - np.float32(camera.shutter_centre)
         samples = cls(
             colour=_those(buffer.radiance, there),
@@ -79,8 +86,10 @@ class Samples:
             time=_those(time, there),
             motion=_those(buffer.motion, there),
             coc=_those(coc, there),
+            depth=_those(buffer.depth, there),
             first=_first(buffer.valid.sum(axis=2)),
             shape=(height, width),
+            half_shutter=0.5 * (camera.shutter[1] - camera.shutter[0]),
         )
         return samples if defocus and motion else samples._without(defocus=defocus, motion=motion)
 
@@ -108,8 +117,10 @@ class Samples:
             time=self.time[order],
             motion=path[order],
             coc=coc[order],
+            depth=self.depth[order],
             first=_first(np.bincount(pixel, minlength=height * width)),
             shape=self.shape,
+            half_shutter=self.half_shutter,
         )
 
 

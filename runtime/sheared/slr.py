@@ -22,7 +22,7 @@ from spreadlets.runtime.sheared.filters import (
     with_uniform_lens,
 )
 from spreadlets.runtime.sheared.layers import Layers, find_layers
-from spreadlets.runtime.sheared.method import run
+from spreadlets.runtime.sheared.method import Progress, run
 from spreadlets.runtime.sheared.partitions import LEAST_PER_SIDE, MOST_PER_SIDE, PER_SIDE, Partitioning
 from spreadlets.runtime.sheared.samples import Samples
 from spreadlets.runtime.sheared.tiles import CELL, DEFAULT_TILE, Tiling
@@ -135,9 +135,9 @@ class _SlrTiles:
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", (self.tiling.inner(), self.tiling.outer()))
 
-    def fill(self, image: Image) -> None:
+    def fill(self, image: Image, progress: Progress | None = None) -> None:
         """Fill an image, tile by tile."""
-        run(self._fill_tile, len(self.boxes[0]), image)
+        run(self._fill_tile, len(self.boxes[0]), image, progress)
 
     def _fill_tile(self, tile: int, image: Image) -> None:
         """Fill the pixels of a tile."""

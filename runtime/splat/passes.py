@@ -117,8 +117,8 @@ class SplatPass(NamedTuple):
     Attributes
     ----------
     origin : tuple of two ints
-        Row and column of the rectangle's first pixel in the frame; negative beyond its border. The column is a multiple
-        of 4 where there are blocks, see `canvas_of`.
+        Row and column of the rectangle's first pixel in the frame; negative beyond its border. Where there are blocks,
+        the columns of passes differ by multiples of 4, see `canvas_of`.
     radiance : ndarray of shape (H, W, 4), float32
         Premultiplied colour, C-contiguous.
     label : ndarray of shape (H, W), int32
@@ -186,7 +186,7 @@ def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
 def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable, margin: int) -> Canvas | None:
     """Return the rectangle that holds all splats of some groups and a margin, or None if there are no splats.
 
-    Its columns fit blocks of any stride, whose passes start at columns that are multiples of the largest.
+    Its columns fit blocks of any stride, whose passes start at columns that differ by multiples of the largest.
     """
     bounds = [
         _splat_kernels.run_bounds(each.of(group), table.reaches, each.source.stride)
@@ -200,6 +200,6 @@ def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable,
         int(pick(side)) for pick, side in zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
     )
     left -= margin
-    left -= left % STRIDES[-1]
+    left -= (left - next((each.source.origin[1] for each in sources if each.source.stride > 1), 0)) % STRIDES[-1]
     cols = right + margin - left
     return Canvas(top - margin, left, bottom - top + 2 * margin, cols + -cols % STRIDES[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from typing import Any
 
 import click
@@ -123,6 +124,7 @@ def info(
     Example: spreadlets info frame.exr --preset nuke
     """
     from spreadlets.files.inspect import is_frame_file
+    from spreadlets.files.kinds import HDF5, file_kind
 
     # A frame has a report of its own.
     if is_frame_file(target):
@@ -132,7 +134,7 @@ def info(
         return
     # Anything else must be a database, and its options a database's.
     named_so = os.path.splitext(target)[1].lower() in ("", *_DATABASE_SUFFIXES)
-    if os.path.isdir(target) or not (named_so or is_database_file(target)):
+    if os.path.isdir(target) or not (named_so or file_kind(target) == HDF5):
         raise click.UsageError(_no_frame(target))
     given = [name for name in ("camera", *options) if context.get_parameter_source(name) is not _DEFAULT]
     if given:
@@ -150,39 +152,32 @@ def _no_frame(path: str) -> str:
         return f"{path}: there is no such file"
     if os.path.isdir(path):
         return f"{path}: is a folder"
-    from spreadlets.files.exr_parts import other_kind
+    from spreadlets.files.kinds import file_kind
 
-    kind = other_kind(path) or "neither an OpenEXR file nor a database"
+    kind = file_kind(path) or "neither an OpenEXR file nor a database"
     return f"{path}: is {kind}; frames are OpenEXR, databases HDF5"
-
-
-def is_database_file(path: str) -> bool:
-    """Tell by content whether a file is one of HDF5, whatever its name."""
-    from spreadlets.psf.database_file import SIGNATURE
-
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(SIGNATURE)) == SIGNATURE
-    except OSError:
-        return False
 
 
 def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[str, Any]:
     from spreadlets.errors import InvalidCameraError
     from spreadlets.files.cameras import frame_camera
+    from spreadlets.files.exr_file import ExrFile
     from spreadlets.files.inspect import frame_info
     from spreadlets.files.recognise import ReadOptions
+    from spreadlets.files.tlfr import is_tlfr
 
     reading, values = take_reading(options), take_camera(options)
     lens, problem = None, []
-    try:
-        if camera or values or frame_camera(path):
-            lens = camera_of(camera, values, path, reading.get("depth_scale", 1.0))
-    except InvalidCameraError as error:
-        if camera or values:
-            raise
-        problem = [f"the camera that the frame carries: {error}"]
-    report = frame_info(path, ReadOptions(**reading, camera=lens))
+    with ExitStack() as stack:
+        source = path if is_tlfr(path) else stack.enter_context(ExrFile(path))
+        try:
+            if camera or values or frame_camera(source):
+                lens = camera_of(camera, values, source, reading.get("depth_scale", 1.0))
+        except InvalidCameraError as error:
+            if camera or values:
+                raise
+            problem = [f"the camera that the frame carries: {error}"]
+        report = frame_info(source, ReadOptions(**reading, camera=lens))
     report["problems"] = [*report["problems"], *problem]
     return report
 

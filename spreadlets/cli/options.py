@@ -40,6 +40,10 @@ class TableChoice(click.Choice[str]):
 
 json_option = cloup.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 
+bit_depth_option = cloup.option(
+    "--bit-depth", type=click.INT, metavar="BITS", help="8 (default) or 16 of .png and .tif, 32 or 16 of .exr."
+)
+
 input_options = cloup.option_group(
     "Reading the frame (what is not given is recognised)",
     cloup.option(
@@ -132,7 +136,7 @@ def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in taken.items() if value is not None}
 
 
-def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None, scene_scale: float = 1.0) -> Any:
+def camera_of(path: str | None, values: dict[str, Any], frame: Any = None, scene_scale: float = 1.0) -> Any:
     """Return the camera of a file and single values; without a file, of what the frame itself carries.
 
     Parameters
@@ -141,7 +145,7 @@ def camera_of(path: str | None, values: dict[str, Any], frame: str | None = None
         The camera's file.
     values : dict
         Single values, which override.
-    frame : str, optional
+    frame : str or ExrFile, optional
         The frame's file.
     scene_scale : float
         Metres of the frame's unit.
@@ -222,6 +226,7 @@ def output_options(what: str, *further: Any) -> Callable[[Command], Command]:
     return cloup.option_group(
         "Output",
         cloup.option("-o", "--output", required=True, type=click.Path(dir_okay=False), help=what),
+        bit_depth_option,
         cloup.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image."),
         *further,
     )

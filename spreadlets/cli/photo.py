@@ -8,7 +8,7 @@ import click
 import cloup
 
 from spreadlets.cli.controls import Numbers, bokeh_options, take_bokeh
-from spreadlets.cli.options import json_option
+from spreadlets.cli.options import bit_depth_option, json_option
 from spreadlets.cli.show import print_figures, progress_bar
 
 
@@ -29,6 +29,7 @@ class PointOrBox(click.ParamType[Any]):
 @cloup.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False), help="The image: .png, .jpg, .tif or .exr."
 )
+@bit_depth_option
 @cloup.option(
     "--depth-kind",
     type=click.Choice(["inverse", "metric", "disparity"]),
@@ -57,6 +58,7 @@ def photo(
     image: str,
     depth: str,
     output: str,
+    bit_depth: int | None,
     focal_length: float | None,
     f_number: float | None,
     mask: str | None,
@@ -72,13 +74,13 @@ def photo(
     Example: spreadlets photo dog.jpg dog_depth.png -o out.jpg --focus 820,640 --blur 30
     """
     from spreadlets.bokeh import bokeh_model
-    from spreadlets.files.images import image_extension, write_image
+    from spreadlets.files.images import check_bit_depth, write_image
     from spreadlets.files.outputs import check_outputs
     from spreadlets.files.pictures import read_picture, read_plane
     from spreadlets.photograph.photograph import photo as make
     from spreadlets.runtime.clock import Clock
 
-    image_extension(output)
+    check_bit_depth(output, bit_depth)
     shape = take_bokeh(options, None)
     check_outputs([output], [each for each in (image, depth, mask, shape.get("kernel")) if each])
     clock = Clock()
@@ -98,6 +100,6 @@ def photo(
             **options,
         )
     with clock.step("write"):
-        write_image(output, result)
+        write_image(output, result, bit_depth=bit_depth)
     height, width = result.shape[:2]
     print_figures({"output": output, "width": width, "height": height, "time_s": clock.times()}, as_json)

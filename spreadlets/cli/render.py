@@ -46,6 +46,7 @@ class _Job(NamedTuple):
     also: Sequence[str] = ()
     pass_through: bool = False
     output_coc: str | None = None
+    bit_depth: int | None = None
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
@@ -59,8 +60,6 @@ class _Job(NamedTuple):
             raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
         if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
             raise click.UsageError("--pass-through copies channels of the whole frame: leave --proxy and --region out")
-        if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
-            raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
         outputs = [self.output, *filter(None, [self.output_coc])]
         check_outputs(outputs, [*self.frames, *filter(None, (*others, self.rendering.get("mask")))])
 
@@ -109,6 +108,7 @@ def synth(
     also: str | None,
     pass_through: bool,
     output_coc: str | None,
+    bit_depth: int | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -120,6 +120,7 @@ def synth(
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
+    from spreadlets.files.images import OPENEXR, check_bit_depth, image_extension
     from spreadlets.files.sequence import is_pattern, listed, numbered
     from spreadlets.runtime.options import RENDER_OPTIONS
 
@@ -130,10 +131,15 @@ def synth(
     if shape:
         rendering["database"] = partial(_bokeh, shape, motion)
     layers = tuple(name.strip() for name in also.split(",")) if also else ()
+    check_bit_depth(output, bit_depth)
+    if image_extension(output) != OPENEXR and (layers or pass_through):
+        raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
     if not any(is_pattern(path) for path in frames):
         if numbers or overwrite:
             raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        job = _Job(frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc)
+        job = _Job(
+            frames, output, camera, lens, reference, reading, rendering, layers, pass_through, output_coc, bit_depth
+        )
         job.check()
         print_figures(_synthesise(job), as_json)
         return
@@ -148,7 +154,7 @@ def synth(
             apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
             shot = numbered(camera, number) if camera else None
             radii = numbered(output_coc, number) if output_coc else None
-            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii)
+            job = _Job(inputs, path, shot, lens, truth, reading | apart, chosen, layers, pass_through, radii, bit_depth)
             report = _synthesise(job)
             warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
             return report
@@ -178,6 +184,7 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     """Make one image and return its report; the database may be chosen by the frame."""
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
+    from spreadlets.files.exr_file import opened
     from spreadlets.files.further_channels import named_channels, other_channels, with_colours
     from spreadlets.files.pictures import read_plane
     from spreadlets.files.recognise import ReadOptions
@@ -185,10 +192,12 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     from spreadlets.runtime.clock import Clock
 
     clock = Clock()
-    with clock.step("read"):
-        camera = camera_of(job.camera, job.lens, job.frames[0], job.reading.get("depth_scale", 1.0))
+    with clock.step("read"), opened(job.frames) as files:
+        camera = camera_of(job.camera, job.lens, files[0], job.reading.get("depth_scale", 1.0))
         options = ReadOptions(**job.reading, camera=camera)
-        frame = exr.read_frame(list(job.frames), options=options)
+        frame = exr.read_frame(files, options=options)
+        elements = list(with_colours(files, frame, job.also, options.view))
+        further = other_channels(files, frame.raster, options.colour_layer, options.view) if job.pass_through else {}
         truth = exr.read_reference(job.reference, options) if job.reference else None
     rendering = dict(job.rendering)
     database = rendering.pop("database")
@@ -202,14 +211,11 @@ def _synthesise(job: _Job) -> dict[str, Any]:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
     figures = _compared(*_alike(image, truth, raster, rendering))
-    further = {}
-    if job.pass_through:
-        further = other_channels(job.frames, frame.raster, options.colour_layer, options.view)
-    for name, element in with_colours(job.frames, frame, job.also, options.view):
+    for name, element in elements:
         with Renderer(element, chosen) as renderer:
             further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
     with clock.step("write"):
-        images.write_image(job.output, image, raster=raster, channels=further)
+        images.write_image(job.output, image, bit_depth=job.bit_depth, raster=raster, channels=further)
         if job.output_coc is not None and coc is not None:
             images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
     return report.to_dict() | {"time_s": clock.times()} | figures
@@ -238,14 +244,12 @@ def _chosen(
     frames: Sequence[str], others: Sequence[str], reads: Sequence[str], output: str, numbers: str | None
 ) -> list[int]:
     """Return which frames of a sequence to make, after checking that no result replaces a file that is read."""
-    from spreadlets.files.images import image_extension
     from spreadlets.files.outputs import check_outputs
     from spreadlets.files.sequence import listed, numbered, sequence_frames
 
     chosen, gaps = sequence_frames(frames, others, output, numbers)
     if gaps:
         warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
-    image_extension(output)
     check_outputs(
         [numbered(output, number) for number in chosen],
         {numbered(path, number) for path in reads for number in chosen},
@@ -312,8 +316,9 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
         type=TableChoice("spreadlets.runtime.options", "RECONSTRUCTION_METHODS"),
         default="spreadlets",
         show_default=True,
-        help="dense and dense-rows draw PSFs in full; sheared to lrdm-ewa are layered reconstructions; mean is that of "
-        "each pixel's samples; bm3d and oidn denoise it with an optional package.",
+        help="dense and dense-rows draw PSFs in full; sheared to lrdm-ewa are layered reconstructions; tlfr has "
+        "exact visibility, and is slow; mean is that of each pixel's samples; bm3d and oidn denoise it with an "
+        "optional package.",
     ),
     cloup.option("--db", "database", help="Database: a file or a shipped name."),
     cloup.option("--spp", type=click.IntRange(min=1), help="Use so many samples of each pixel (default: all)."),
@@ -322,7 +327,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
         "assignments",
         multiple=True,
         metavar="NAME=VALUE",
-        help="A setting of a layered reconstruction, such as tile=64 or block=0; may be repeated.",
+        help="A setting of a method from sheared to tlfr, such as tile=64 or views=128; may be repeated.",
     ),
     cloup.option(
         "--denoise",
@@ -350,6 +355,7 @@ def reconstruct(
     output: str,
     camera: str | None,
     reference: str | None,
+    bit_depth: int | None,
     spp: int | None,
     repair: bool,
     as_json: bool,
@@ -365,11 +371,12 @@ def reconstruct(
     from spreadlets.api import reconstruct as make
     from spreadlets.files import exr_frames as exr
     from spreadlets.files import images
-    from spreadlets.files.exr_samples import read_samples, samples_files, samples_raster
+    from spreadlets.files.exr_samples import read_samples, samples_files
     from spreadlets.files.outputs import check_outputs
     from spreadlets.runtime.clock import Clock
+    from spreadlets.scene.raster import placed
 
-    images.image_extension(output)
+    images.check_bit_depth(output, bit_depth)
     check_outputs(
         [output], [each for each in (*samples_files(samples), camera, reference, options["database"]) if each]
     )
@@ -379,12 +386,15 @@ def reconstruct(
         buffer = read_samples(samples, camera=lens, repair=repair)
         truth = exr.read_image(reference) if reference else None
     given = buffer.take(spp) if spp else buffer
-    image, report = make(given, lens, **options, settings=_assigned(assignments), report=True, clock=clock)
+    settings = _assigned(assignments)
+    with progress_bar(os.path.basename(output), quiet=as_json) as progress:
+        image, report = make(given, lens, **options, settings=settings, report=True, clock=clock, progress=progress)
     if buffer.dropped_samples:
         warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
-    figures = _compared(image, truth)
+    raster = buffer.raster
+    figures = _compared(placed(image, raster.data, raster.display), truth)
     with clock.step("write"):
-        images.write_image(output, image, raster=samples_raster(samples, buffer.shape))
+        images.write_image(output, image, bit_depth=bit_depth, raster=raster)
     print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from spreadlets.arrays import PathLike
 from spreadlets.errors import InvalidFileError
 
-LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError)
-"""What the OpenEXR binding raises on files and headers that it cannot handle."""
+LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError, ZeroDivisionError)
+"""What the OpenEXR binding raises on files and headers that it cannot handle, such as a frame rate of 24/0."""
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from spreadlets.arrays import PathLike
-from spreadlets.files.exr_chunks import add_attributes, read_attributes
+from spreadlets.files.exr_chunks import add_attributes
 from spreadlets.scene.raster import Attribute
 
 FILE_ATTRIBUTES = frozenset(
@@ -41,18 +41,9 @@ CHROMATICITIES = "<8f"
 """x and y of red, green, blue and white."""
 
 
-def carried_attributes(path: PathLike) -> list[dict[str, Attribute]]:
-    """Return, for each part of a file, the attributes that do not describe its own pixels.
-
-    Raises
-    ------
-    InvalidFileError
-        If a header is malformed.
-    """
-    return [
-        {name: attribute for name, attribute in attributes.items() if name not in FILE_ATTRIBUTES}
-        for attributes in read_attributes(path)
-    ]
+def carried_attributes(stored: Mapping[str, Attribute]) -> dict[str, Attribute]:
+    """Return those of a part's attributes that do not describe its own pixels."""
+    return {name: attribute for name, attribute in stored.items() if name not in FILE_ATTRIBUTES}
 
 
 def carry_attributes(path: PathLike, parts: Sequence[Mapping[str, Attribute]]) -> None:

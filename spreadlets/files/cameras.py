@@ -21,15 +21,16 @@ from spreadlets.errors import (
     MissingPackageError,
     option,
 )
-from spreadlets.files.exr_parts import EXR_MAGIC, read_headers
-from spreadlets.scene.camera import MM_PER_M, LensModel, SensorFit, ThinLens, checked_number
+from spreadlets.files.exr_file import Source, opened
+from spreadlets.files.kinds import OPENEXR, file_kind
+from spreadlets.scene.camera import KEYED, MM_PER_M, LensKey, LensModel, SensorFit, ThinLens, checked_number
 
 MAX_CAMERA_BYTES = 1 << 20
 """A camera file holds a few numbers; 1 MiB is far above any real one and keeps a wrong file from filling memory."""
 
 NUMBER_KEYS = ("focal_length_mm", "sensor_width_mm", "f_number", "focus_distance_m")
 SHUTTER_KEY = "shutter_open_close_frames"
-OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm")
+OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm", "keys", "readout_frames")
 
 DESCRIPTIVE_KEYS = frozenset(
     (
@@ -130,21 +131,21 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
         raise InvalidCameraError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
 
 
-def frame_camera(path: PathLike, scene_scale: float = 1.0) -> dict[str, Any]:
+def frame_camera(path: Source, scene_scale: float = 1.0) -> dict[str, Any]:
     """Return the values of a camera that a frame's own file carries, by the names of `ThinLens`'s parameters.
 
     Parameters
     ----------
-    path : path
+    path : path or ExrFile
         An OpenEXR file; any other carries none.
     scene_scale : float
         Metres of the scene's unit, as for the depth.
     """
     try:
-        headers = read_headers(path)
+        with opened(path) as (file,):
+            return _carried_values(file.headers, scene_scale)
     except InvalidFileError:
         return {}
-    return _carried_values(headers, scene_scale)
 
 
 def _carried_values(headers: Sequence[Mapping[str, Any]], scene_scale: float = 1.0) -> dict[str, Any]:
@@ -204,20 +205,13 @@ def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str,
     name, prim = _usd_place(os.fspath(path))
     if name is not None:
         return _usd_values(name, prim), HALF_A_FRAME
-    if _starts_with(path, EXR_MAGIC):
-        found = _carried_values(read_headers(path))
+    if file_kind(path) == OPENEXR:
+        with opened(path) as (file,):
+            found = _carried_values(file.headers)
         if not found and not given:
             raise InvalidCameraError("holds no camera attributes that are known")
         return found, HALF_A_FRAME
     return _json_values(_read_object(Path(path))), {}
-
-
-def _starts_with(path: PathLike, magic: bytes) -> bool:
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(magic)) == magic
-    except OSError:
-        return False
 
 
 # --- JSON ----------------------------------------------------------------------------------------------------------
@@ -282,7 +276,26 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
     if "sensor_fit" in content:
         fit = content["sensor_fit"]
         values["sensor_fit"] = fit.lower() if isinstance(fit, str) else fit
+    # What changes while the shutter is open.
+    if "keys" in content:
+        values["keys"] = _json_keys(content["keys"])
+    if "readout_frames" in content:
+        values["readout_frames"] = checked_number("readout_frames", content["readout_frames"])
     return values
+
+
+def _json_keys(given: object) -> tuple[LensKey, ...]:
+    """Return the keys of a lens that a parsed JSON file holds."""
+    allowed = ("time", *KEYED)
+    if not isinstance(given, list) or not all(isinstance(key, dict) and "time" in key for key in given):
+        raise InvalidCameraError(f"keys is {given!r}; it must be a list of objects with time and {', '.join(KEYED)}")
+    found = []
+    for key in given:
+        unknown = sorted(key.keys() - set(allowed))
+        if unknown:
+            raise InvalidCameraError(f"a key has {', '.join(unknown)}; allowed are {', '.join(allowed)}")
+        found.append(LensKey(**{name: checked_number(f"{name} of a key", value) for name, value in key.items()}))
+    return tuple(found)
 
 
 # --- OpenEXR -------------------------------------------------------------------------------------------------------
@@ -305,8 +318,8 @@ class AttributeRow:
     pattern : str
         Regular expression of the attribute's whole name, in lower case.
     value : str
-        Parameter of `ThinLens`, or ``shutter_degrees``, ``field_of_view`` (horizontal, degrees), ``sensor_size`` or
-        ``film_width`` (mm or inches).
+        Parameter of `ThinLens`, or ``shutter_degrees``, ``exposure_s``, ``frames_per_s``, ``field_of_view``
+        (horizontal, degrees), ``sensor_size`` or ``film_width`` (mm or inches).
     factor : float
         What one unit is in the parameter's unit, or `SCENE`.
     """
@@ -325,6 +338,9 @@ ATTRIBUTES = (
     AttributeRow("focus", "focus_distance_m"),
     AttributeRow("sensoroveralldimensions", "sensor_size"),
     AttributeRow("shutterangle", "shutter_degrees"),
+    AttributeRow("exptime", "exposure_s"),
+    AttributeRow("capturerate", "frames_per_s"),
+    AttributeRow("framespersecond", "frames_per_s"),
     # Unreal's Movie Render Queue and Graph; distances in centimetres.
     AttributeRow(r"unreal/(camera/)?(.*/)?focallength", "focal_length_mm"),
     AttributeRow(r"unreal/(camera/)?(.*/)?fstop", "f_number"),
@@ -353,6 +369,10 @@ ATTRIBUTES = (
     AttributeRow(r"(rs|redshift|arnold|ai)/(.*/)?(dof_?)?focus_?distance", "focus_distance_m", SCENE),
 )
 """Header attributes by program; the first row that a file has for a value counts."""
+
+SHUTTER_TIMING = "unreal/camera/shuttertiming"
+SHUTTER_CENTRES = {"FrameOpen": 0.5, "FrameCenter": 0.0, "FrameClose": -0.5}
+"""Where the frame's time lies in the time that the shutter is open, by Unreal's names: its middle, in that time."""
 
 NOTE_NAMES = ("note", "blendernote")
 
@@ -386,10 +406,12 @@ def attribute_values(header: Mapping[str, Any], scene_scale: float = 1.0) -> dic
         found.setdefault("sensor_width_mm", raw["film_width"] * (MM_PER_INCH if inches else 1))
     if "sensor_size" in raw:
         found.setdefault("sensor_width_mm", raw["sensor_size"])
-    # Turn angles into the shutter, and into what is missing of focal length and sensor.
-    if "shutter_degrees" in raw:
-        half = 0.5 * raw["shutter_degrees"] / DEGREES_PER_FRAME
-        found["shutter"] = (-half, half)
+    # Turn angles and times into the shutter, and into what is missing of focal length and sensor.
+    open_frames = raw.get("shutter_degrees", 0.0) / DEGREES_PER_FRAME
+    open_frames = open_frames or raw.get("exposure_s", 0.0) * raw.get("frames_per_s", 0.0)
+    if open_frames:
+        centre = SHUTTER_CENTRES.get(str(lowered.get(SHUTTER_TIMING)), 0.0)
+        found["shutter"] = ((centre - 0.5) * open_frames, (centre + 0.5) * open_frames)
     if 0 < raw.get("field_of_view", 0) < 180:
         ratio = 2 * math.tan(math.radians(raw["field_of_view"]) / 2)  # sensor's width over focal length
         if "sensor_width_mm" in found:

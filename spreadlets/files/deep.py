@@ -20,7 +20,7 @@ from spreadlets.errors import InvalidFrameError, InvalidParameterError
 from spreadlets.files._deep_kernels import ALPHA, BACK, COLOUR, FRONT, LABELS, collect_layers, seam_lengths, tidy_pixels
 from spreadlets.files.atomic import atomic_path
 from spreadlets.files.exr_chunks import DeepPart
-from spreadlets.files.exr_parts import MAX_VALUES, library_messages
+from spreadlets.files.exr_file import MAX_VALUES, library_messages
 from spreadlets.scene.frame import ALPHA_TOLERANCE, Frame
 from spreadlets.scene.raster import Window
 

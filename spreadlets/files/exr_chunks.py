@@ -23,6 +23,7 @@ from spreadlets.errors import InvalidFileError
 from spreadlets.scene.raster import Attribute
 
 MAGIC = 20000630
+TILED = 0x200
 MULTI_PART = 0x1000
 LONG_NAMES = 0x400
 """Bits of the version field."""
@@ -64,69 +65,80 @@ class DeepPart:
 
 @dataclass(frozen=True)
 class _PartHeader:
-    """What a part's header says about its chunks; `n_chunks` of tiles in a file of one part is not told."""
+    """What a part's header says about its chunks; `tile` is the width and height of tiles, px, or None."""
 
     deep: bool
-    tiled: bool
+    tile: tuple[int, int] | None
     n_chunks: int
     window: tuple[int, int, int, int]
     compression: int
     types: Mapping[str, np.dtype[Any]]
 
 
-def check_structure(path: PathLike) -> None:
+def check_structure(file: BinaryIO) -> None:
     """Check that the headers of a file are well-formed: the library passes over much that is not, and guesses.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened.
+    file : binary file
+        An OpenEXR file that the library has read.
 
     Raises
     ------
     InvalidFileError
         If a header is malformed.
     """
-    with _opened(path, "its header is malformed") as file:
+    with _refusing(file, "its header is malformed"):
         if not _file_headers(file)[1]:
             raise ValueError("it has no parts")
 
 
-def check_chunks(path: PathLike) -> None:
-    """Check that the chunks of all flat scanlines lie where the file's tables say; tiles are left to the library.
+def check_chunks(file: BinaryIO) -> None:
+    """Check that the chunks of all flat parts, lines or tiles, lie where the file's tables say.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened, of a size that was checked.
+    file : binary file
+        An OpenEXR file that the library has read, of a size that was checked.
 
     Raises
     ------
     InvalidFileError
         If the file ends early, or a table points to something else than its chunk.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         begin, end = file.tell(), os.fstat(file.fileno()).st_size
         for part, (header, table) in enumerate(zip(headers, offsets, strict=True)):
-            lines = LINES_PER_CHUNK.get(header.compression)
-            if header.deep or header.tiled or lines is None:
+            if header.deep or (header.tile is None and header.compression not in LINES_PER_CHUNK):
                 continue
-            for y, offset in zip(range(header.window[1], header.window[3] + 1, lines), table, strict=True):
+            places = _chunk_places(header)
+            listed = table[: len(places)] if header.tile else table  # smaller levels follow, which are not read
+            for place, offset in zip(places, listed, strict=True):
                 file.seek(offset)
                 of_part = struct.unpack("<i", _exactly(file, 4))[0] if multi_part else part
-                first, packed = struct.unpack("<2i", _exactly(file, 8))
-                if (of_part, first) != (part, y) or offset < begin or not 0 < packed <= end - file.tell():
-                    raise ValueError(f"the lines from {y} on are not where the table says")
+                *found, packed = struct.unpack(f"<{len(place) + 1}i", _exactly(file, 4 * len(place) + 4))
+                if (of_part, *found) != (part, *place) or offset < begin or not 0 < packed <= end - file.tell():
+                    what = f"lines from {place[0]} on are" if len(place) == 1 else f"tile {place} is"
+                    raise ValueError(f"the {what} not where the table says")
 
 
-def deep_sample_bytes(path: PathLike) -> int:
+def _chunk_places(header: _PartHeader) -> list[tuple[int, ...]]:
+    """Return what the chunks of a flat part begin with, as its table lists them: lines, or tiles of the first level."""
+    left, top, right, bottom = header.window
+    if header.tile is None:
+        return [(y,) for y in range(top, bottom + 1, LINES_PER_CHUNK[header.compression])]
+    across, down = -((left - right - 1) // header.tile[0]), -((top - bottom - 1) // header.tile[1])
+    return [(column, row, 0, 0) for row in range(down) for column in range(across)]
+
+
+def deep_sample_bytes(file: BinaryIO) -> int:
     """Return how many bytes the unpacked samples of all deep scanlines take.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened.
+    file : binary file
+        An OpenEXR file that the library has read.
 
     Returns
     -------
@@ -137,19 +149,19 @@ def deep_sample_bytes(path: PathLike) -> int:
     InvalidFileError
         If the file ends early or its tables point outside it.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         deep = [table for header, table in zip(headers, offsets, strict=True) if header.deep]
         return sum(_chunk_header(file, offset, multi_part)[3] for table in deep for offset in table)
 
 
-def read_deep_part(path: PathLike, part: int) -> DeepPart:
+def read_deep_part(file: BinaryIO, part: int) -> DeepPart:
     """Return the samples of a deep part.
 
     Parameters
     ----------
-    path : path
-        An OpenEXR file that the library has opened, of a size that was checked.
+    file : binary file
+        An OpenEXR file that the library has read, of a size that was checked.
     part : int
         Which part, from 0.
 
@@ -163,12 +175,12 @@ def read_deep_part(path: PathLike, part: int) -> DeepPart:
         If the file is truncated or corrupt, a channel is subsampled, or the compression is none that deep scanlines may
         have.
     """
-    with _opened(path, PIXELS) as file:
+    with _refusing(file, PIXELS):
         multi_part, headers, offsets = _tables(file)
         return _deep_part(file, headers[part], offsets[part], multi_part)
 
 
-def read_attributes(path: PathLike) -> list[dict[str, Attribute]]:
+def read_attributes(file: BinaryIO) -> list[dict[str, Attribute]]:
     """Return all attributes of each part's header as they are stored.
 
     Raises
@@ -176,7 +188,7 @@ def read_attributes(path: PathLike) -> list[dict[str, Attribute]]:
     InvalidFileError
         If a header is malformed.
     """
-    with _opened(path, "its header is malformed") as file:
+    with _refusing(file, "its header is malformed"):
         _, version = struct.unpack("<iI", _exactly(file, 8))
         parts = [_attributes(file)]
         while version & MULTI_PART and (attributes := _attributes(file)):
@@ -198,8 +210,9 @@ def add_attributes(
     replacing : collection of str
         Names of attributes that give way.
     """
-    found = read_attributes(path)
     with open(path, "rb") as file:
+        found = read_attributes(file)
+        file.seek(0)
         multi_part, _, tables = _tables(file)
         chunks = file.read()
         begin = file.tell() - len(chunks)
@@ -221,13 +234,13 @@ def add_attributes(
 
 
 @contextmanager
-def _opened(path: PathLike, problem: str) -> Iterator[BinaryIO]:
-    """Open a file, and say what is wrong with it where it cannot be read as it should."""
+def _refusing(file: BinaryIO, problem: str) -> Iterator[None]:
+    """Go to the beginning of a file, and say what is wrong with it where it cannot be read as it should."""
     try:
-        with open(path, "rb") as file:
-            yield file
+        file.seek(0)
+        yield
     except _MALFORMED as error:
-        raise InvalidFileError(f"{path}: {problem} ({error})") from None
+        raise InvalidFileError(f"{file.name}: {problem} ({error})") from None
 
 
 def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], multi_part: bool) -> DeepPart:
@@ -329,23 +342,29 @@ def _file_headers(file: BinaryIO) -> tuple[bool, list[_PartHeader]]:
     magic, version = struct.unpack("<iI", _exactly(file, 8))
     if magic != MAGIC:
         raise ValueError("not an OpenEXR file")
-    multi_part = bool(version & MULTI_PART)
-    return multi_part, _headers(file, multi_part)
+    return bool(version & MULTI_PART), _headers(file, version)
 
 
-def _headers(file: BinaryIO, multi_part: bool) -> list[_PartHeader]:
+def _headers(file: BinaryIO, version: int) -> list[_PartHeader]:
     headers: list[_PartHeader] = []
     while attributes := _attributes(file):  # an empty header ends those of several parts
-        headers.append(_part_header({name: attribute.value for name, attribute in attributes.items()}))
-        if not multi_part:
+        values = {name: attribute.value for name, attribute in attributes.items()}
+        headers.append(_part_header(values, bool(version & TILED)))
+        if not version & MULTI_PART:
             break
     return headers
 
 
-def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
+def _part_header(attributes: Mapping[str, bytes], tiled: bool) -> _PartHeader:
+    """Return what a header says; `tiled` if the file says that its only part is."""
     window: tuple[int, int, int, int] = struct.unpack("<4i", attributes["dataWindow"])
-    compression, tiled = attributes["compression"][0], "tiles" in attributes
-    n_chunks = 0 if tiled else -((window[1] - window[3] - 1) // LINES_PER_CHUNK.get(compression, 1))
+    compression, tile = attributes["compression"][0], None
+    n_chunks = -((window[1] - window[3] - 1) // LINES_PER_CHUNK.get(compression, 1))
+    if attributes.get("type", b"tiledimage" if tiled else b"") == b"tiledimage":
+        tile = struct.unpack_from("<II", attributes["tiles"])
+        if 0 in tile:
+            raise ValueError("its tiles have no size")
+        n_chunks = ((window[0] - window[2] - 1) // tile[0]) * ((window[1] - window[3] - 1) // tile[1])
     if "chunkCount" in attributes:
         (n_chunks,) = struct.unpack("<i", attributes["chunkCount"])
     if n_chunks < 0:
@@ -362,7 +381,7 @@ def _part_header(attributes: Mapping[str, bytes]) -> _PartHeader:
     if list(types) != sorted(types):  # pixels lie in this order, and readers sort the names
         raise ValueError("its channels are not in alphabetical order")
     deep = attributes.get("type") == b"deepscanline"
-    return _PartHeader(deep, tiled, n_chunks, window, compression, types)
+    return _PartHeader(deep, tile, n_chunks, window, compression, types)
 
 
 def _attributes(file: BinaryIO) -> dict[str, Attribute]:

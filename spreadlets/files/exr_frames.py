@@ -9,10 +9,10 @@ import functools
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ import OpenEXR
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError, option
 from spreadlets.files.atomic import atomic_path
-from spreadlets.files.attributes import carried_attributes
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
@@ -37,21 +36,17 @@ from spreadlets.files.conventions import (
     stored_motion,
 )
 from spreadlets.files.deep import DeepImage, deep_image
-from spreadlets.files.exr_chunks import read_deep_part
+from spreadlets.files.exr_chunks import DeepPart
+from spreadlets.files.exr_file import ExrFile, Source, is_deep, library_messages, opened
 from spreadlets.files.exr_parts import (
     Image,
+    Part,
     Plane,
-    check_headers,
     check_same_window,
     covered,
     gather,
-    is_deep,
-    library_messages,
     merged,
     part_header,
-    part_of,
-    read_headers,
-    read_parts,
     window,
 )
 from spreadlets.files.luminance import with_rgb
@@ -76,7 +71,7 @@ COUNTER = re.compile(r"\d+")
 
 
 def read_frame(
-    paths: PathLike | Sequence[PathLike], *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]
+    paths: Source | Sequence[Source], *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]
 ) -> Frame:
     """Read a frame of labelled pixels from OpenEXR files.
 
@@ -126,28 +121,31 @@ def read_frame(
     Frame(4 x 6 px, 2 layers)
     """
     chosen = ReadOptions.of(options, **keywords)
-    files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    headers = [read_headers(path) for path in files]
-    passes = read_passes(chosen)
-    if files and all(any(map(is_deep, each)) for each in headers):
-        return _with_room(_merged_deep(files, headers, chosen))
+    with opened(paths) as files:
+        return frame_of(files, read_passes(chosen), chosen)
+
+
+def frame_of(files: Sequence[ExrFile], passes: Passes, options: ReadOptions) -> Frame:
+    """Return the frame of files and passes that are open already, as `read_frame` does."""
+    if files and all(file.is_deep for file in files):
+        return _with_room(_merged_deep(files, options))
     layers: list[Frame] = []
-    for path, each in zip(files, headers, strict=True):
-        if any(map(is_deep, each)):
-            layers.append(_merged_deep([path], [each], chosen))
+    for file in files:
+        if file.is_deep:
+            layers.append(_merged_deep([file], options))
         else:
-            layers += [_read_layer(image, settings, passes) for image, settings in flat_layers(path, chosen)]
+            layers += [_read_layer(image, settings, passes) for image, settings in flat_layers(file, options)]
     if len(layers) > 1 and passes != Passes():
         raise InvalidParameterError(
             f"{option('depth_file')}, {option('motion_file')} and {option('alpha_file')} are for frames of one layer"
         )
     frame = layers[0] if len(layers) == 1 else Frame.from_layers(layers)
-    for doubt in (*_sequence_doubts(files), *layer_doubts(frame)):
-        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=2)
+    for doubt in (*_sequence_doubts([file.path for file in files]), *layer_doubts(frame)):
+        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=3)
     return _with_room(frame)
 
 
-def read_image(path: PathLike, *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]) -> FloatArray:
+def read_image(path: Source, *, options: ReadOptions | None = None, **keywords: Unpack[ReadKeywords]) -> FloatArray:
     """Read the colours of an OpenEXR file.
 
     Parameters
@@ -175,7 +173,8 @@ def read_image(path: PathLike, *, options: ReadOptions | None = None, **keywords
     (4, 6, 3)
     """
     chosen = ReadOptions.of(options, **keywords)
-    image = with_rgb(merged(path, read_parts(path)))
+    with opened(path) as (file,):
+        image = with_rgb(file.image)
     view, layer = chosen.view, chosen.colour_layer
     if view is None and isinstance(layer, str) and layer in image.views:
         view, chosen = layer, replace(chosen, colour_layer=None)
@@ -204,10 +203,11 @@ def read_reference(path: PathLike, options: ReadOptions) -> FloatArray:
     plain = ReadOptions(unpremultiplied=options.unpremultiplied)
     attempts = [replace(plain, view=options.view, colour_layer=layer) for layer in options.colour_layers if layer]
     attempts += [replace(plain, view=options.view)] if options.view else []
-    for attempt in attempts:
-        with suppress(InvalidFileError):
-            return read_image(path, options=attempt)
-    return read_image(path, options=plain)
+    with opened(path) as (file,):
+        for attempt in attempts:
+            with suppress(InvalidFileError):
+                return read_image(file, options=attempt)
+        return read_image(file, options=plain)
 
 
 def write_frame(
@@ -279,79 +279,78 @@ def _with_room(frame: Frame) -> Frame:
     return frame.reaching(whole)
 
 
-def flat_layers(path: PathLike, options: ReadOptions) -> list[tuple[Image, ReadOptions]]:
+def flat_layers(file: ExrFile, options: ReadOptions) -> list[tuple[Image, ReadOptions]]:
     """Return the depth layers of a flat file, each as an image and how to read it.
 
     They are its parts if each holds R, G, B, A and Z, else the colour layers that the caller names, all channels
     together.
     """
-    parts = read_parts(path)
-    one_view = len({part.view for part in parts}) == 1  # the parts of a stereo image are no layers
-    if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in parts):
-        return [(merged(path, [part]), options) for part in parts]
-    image = with_rgb(merged(path, parts))
+    one_view = len({part.view for part in file.parts}) == 1  # the parts of a stereo image are no layers
+    if one_view and all({"R", "G", "B", "A", "Z"} <= part.planes.keys() for part in file.parts):
+        return [(merged(file.path, [part]), options) for part in file.parts]
+    image = with_rgb(file.image)
     return [(image, replace(options, colour_layer=layer)) for layer in options.colour_layers]
 
 
 def read_passes(options: ReadOptions) -> Passes:
     """Return the images of the passes that the caller keeps in files of their own."""
-    files = (options.depth_file, options.motion_file, options.alpha_file)
-    depth, motion, alpha = (
-        None if path is None else merged(path, read_parts(path)).of_view(options.view) for path in files
-    )
+    paths = (options.depth_file, options.motion_file, options.alpha_file)
+    with opened([path for path in paths if path is not None]) as files:
+        images = iter([file.image.of_view(options.view) for file in files])
+    depth, motion, alpha = (None if path is None else next(images) for path in paths)
     return Passes(depth, motion, alpha)
 
 
-def deep_header(
-    path: PathLike, headers: Sequence[Mapping[str, Any]], options: ReadOptions | None = None
-) -> tuple[int, Image]:
+def deep_header(file: ExrFile, options: ReadOptions | None = None) -> tuple[int, Image]:
     """Return which part of a file is deep, and its channels without pixels, after checking what the headers promise.
 
     Of several deep parts it is the one of the view that is asked for, or the hero view's.
     """
     view = options.view if options else None
-    deep = [index for index, header in enumerate(headers) if is_deep(header)]
-    views = [str(headers[index].get("view", "")) for index in deep]
+    deep = [index for index, header in enumerate(file.headers) if is_deep(header)]
+    views = [str(file.headers[index].get("view", "")) for index in deep]
     if view is not None and view not in views:
-        raise InvalidFileError(f"{path}: lacks the {option('view')} {view!r}; its views are {', '.join(views)}")
+        raise InvalidFileError(f"{file.path}: lacks the {option('view')} {view!r}; its views are {', '.join(views)}")
     if len(deep) > 1 and len(set(views)) < len(deep):
-        raise InvalidFileError(f"{path}: holds {len(deep)} deep parts of the same view; one can be read")
+        raise InvalidFileError(f"{file.path}: holds {len(deep)} deep parts of the same view; one can be read")
     index = deep[views.index(view) if view is not None else 0]
-    check_headers(path, headers, deep=True)
-    header = headers[index]
+    file.check_size(deep=True)
+    header = file.headers[index]
     data, nothing = window(header["dataWindow"]), np.zeros((0, 0), np.float32)
     planes = {channel.name: Plane(nothing, data, (1, 1)) for channel in header["channels"]}
-    part = replace(part_of({**header, "multiView": ()}, planes, carried_attributes(path)[index]), name="")
-    return index, merged(path, [part])
+    part = replace(Part.of({**header, "multiView": ()}, planes, file.attributes[index]), name="")
+    return index, merged(file.path, [part])
 
 
-def _merged_deep(
-    files: Sequence[PathLike], headers: Sequence[Sequence[Mapping[str, Any]]], options: ReadOptions
-) -> Frame:
+def _merged_deep(files: Sequence[ExrFile], options: ReadOptions) -> Frame:
     """Return the depth layers of deep files, which show one scene, in a window that holds all of theirs."""
-    parts = [deep_header(path, each, options) for path, each in zip(files, headers, strict=True)]
+    parts = [deep_header(file, options) for file in files]
     found = [recognise_deep(image, options) for _, image in parts]
     rasters = [each.colour.image.raster(each.colour.channels[0]) for each in found]
-    for path, raster in zip(files, rasters, strict=True):
+    for file, raster in zip(files, rasters, strict=True):
         if (raster.display, raster.pixel_aspect) != (rasters[0].display, rasters[0].pixel_aspect):
-            raise InvalidFileError(f"{path}: is displayed otherwise than {files[0]}; deep files of one scene agree")
+            first = files[0].path
+            raise InvalidFileError(f"{file.path}: is displayed otherwise than {first}; deep files of one scene agree")
     stored = functools.reduce(Window.union, (raster.data for raster in rasters))
     shared = replace(rasters[0], data=stored).reaching(stored.union(rasters[0].display))
-    images = [_read_deep(index, each, shared, options) for (index, _), each in zip(parts, found, strict=True)]
+    images = [
+        _read_deep(file.deep_part(index), each, shared, options)
+        for file, (index, _), each in zip(files, parts, found, strict=True)
+    ]
     try:
         return DeepImage.merged(images).layers(options.max_layers).lying_at(shared)
     except (InvalidFrameError, InvalidParameterError) as error:
-        raise type(error)(f"{', '.join(str(path) for path in files)}: {error}") from None
+        raise type(error)(f"{', '.join(str(file.path) for file in files)}: {error}") from None
 
 
-def _read_deep(index: int, found: Recognised, raster: Raster, options: ReadOptions) -> DeepImage:
+def _read_deep(part: DeepPart, found: Recognised, raster: Raster, options: ReadOptions) -> DeepImage:
     """Return the samples of a deep part of a file, in the data window of a raster."""
     image = found.colour.image
     path = image.path
     names = {"colour": found.colour.channels, "alpha": found.colour.alpha, "depth": found.depth.channels}
     names |= {"motion": found.motion.channels} if found.motion else {}
     _warn(image, found)
-    part, data = read_deep_part(path, index), image.planes[found.colour.channels[0]].window
+    data = image.planes[found.colour.channels[0]].window
     if part.counts.shape != data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
     scale, shape = replace(options.scale, raster=raster), raster.data.shape

@@ -1,16 +1,11 @@
-"""OpenEXR files as named channels: every part read whole and checked, or written whole; no meaning is attached here.
+"""Parts of OpenEXR files as named channels, and these as arrays; no meaning is attached here.
 
 What the channels mean is told by `spreadlets.files.conventions` and `spreadlets.files.recognise`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
-import tempfile
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,48 +15,7 @@ import OpenEXR
 
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, option
-from spreadlets.files.atomic import LIBRARY_ERRORS
-from spreadlets.files.attributes import carried_attributes
-from spreadlets.files.exr_chunks import check_chunks, check_structure, deep_sample_bytes
 from spreadlets.scene.raster import Attribute, Raster, Window, overlap
-
-EXR_MAGIC = b"\x76\x2f\x31\x01"
-"""What every OpenEXR file starts with."""
-
-OTHER_KINDS = (
-    (b"\xff\xd8\xff", "a JPEG"),
-    (b"\x89PNG", "a PNG"),
-    (b"II*\x00", "a TIFF"),
-    (b"MM\x00*", "a TIFF"),
-    (b"#?RADIANCE", "a Radiance HDR"),
-    (b"\x89HDF", "an HDF5 file, such as a database"),
-    (b"PXR-USDC", "a USD file"),
-    (b"#usda", "a USD file"),
-    (b"Version ", "a TLFR sample buffer"),
-    (b"{", "text, such as a camera's JSON"),
-)
-"""First bytes of other files that are named by mistake, and what they are."""
-
-MAX_VALUES = 1 << 30
-"""Most values (pixels times channels, over all parts) that are read: 4 GiB as float32, an 8K frame of 32 channels."""
-
-FLOAT_BYTES = 4
-
-LEAST_BYTES = 2
-"""Of a stored value: a half."""
-
-EXPANSION: Mapping[Any, int] = {
-    OpenEXR.NO_COMPRESSION: 1,
-    OpenEXR.RLE_COMPRESSION: 64,
-    OpenEXR.ZIPS_COMPRESSION: 1032,
-    OpenEXR.ZIP_COMPRESSION: 1032,
-    OpenEXR.PXR24_COMPRESSION: 2064,
-}
-"""Most values of a byte that one stored byte can stand for: runs of 128 in 2 bytes; deflate's 1032, twice that where
-the library drops a byte first. The other compressions have no useful bound."""
-
-_STDERR_DESCRIPTOR = 2
-_STDERR_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +55,11 @@ class Part:
     header: Mapping[str, Any]
     planes: Mapping[str, Plane]
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, header: Mapping[str, Any], planes: Mapping[str, Plane], attributes: Mapping[str, Attribute]) -> Part:
+        """Return a part by its header, its channels, and the attributes that do not describe its own pixels."""
+        return cls(str(header.get("name", "")), header, planes, attributes)
 
     @property
     def display(self) -> Window:
@@ -191,7 +150,7 @@ class Image:
         return InvalidFileError(f"{self.path}: {what}; name it with {remedy}. Channels found: {found}")
 
 
-# --- Reading -------------------------------------------------------------------------------------------------------
+# --- Names ---------------------------------------------------------------------------------------------------------
 
 
 def merged(path: PathLike, parts: Sequence[Part]) -> Image:
@@ -239,134 +198,6 @@ def _without_ending(part_name: str, view: str) -> str:
     if view and part_name.endswith(view) and part_name[: -len(view)].endswith((".", "-", "_")):
         return part_name[: -len(view) - 1]
     return part_name
-
-
-def read_parts(path: PathLike) -> list[Part]:
-    """Return every channel of a flat file as stored, after checking what the header promises."""
-    headers = read_headers(path)
-    check_headers(path, headers)
-    check_chunks(path)
-    carried = carried_attributes(path)
-    file, messages = _open(path, header_only=False)
-    parts = []
-    for part, attributes in zip(file.parts, carried, strict=False):  # their number is checked below
-        data = window(part.header["dataWindow"])
-        planes = {
-            name: Plane(channel.pixels, data, (channel.xSampling, channel.ySampling))
-            for name, channel in part.channels.items()
-        }
-        parts.append(part_of(part.header, planes, attributes))
-    # The binding skips parts that it fails to decode.
-    if len(parts) < len(headers) or not all(part.planes for part in parts):
-        raise InvalidFileError(f"{path}: the pixels are truncated or corrupt{_detail(path, messages)}")
-    return parts
-
-
-def part_of(header: Mapping[str, Any], planes: Mapping[str, Plane], attributes: Mapping[str, Attribute]) -> Part:
-    """Return a part of a file by its header, its channels, and the attributes that do not describe its own pixels."""
-    return Part(str(header.get("name", "")), header, planes, attributes)
-
-
-def read_headers(path: PathLike) -> list[Mapping[str, Any]]:
-    """Return the header of each part; no pixel is read. Raises InvalidFileError if the file is missing or malformed."""
-    if not os.path.isfile(path):
-        raise InvalidFileError(f"{path}: there is no such file")
-    file, _ = _open(path, header_only=True)
-    check_structure(path)
-    headers = [part.header for part in file.parts]
-    try:
-        for header in headers:
-            [channel.name for channel in header["channels"]]  # the binding decodes them when they are asked for
-    except UnicodeDecodeError:
-        raise InvalidFileError(f"{path}: a channel's name is not text") from None
-    return headers
-
-
-def is_deep(header: Mapping[str, Any]) -> bool:
-    """Tell whether a part's header is that of a deep image."""
-    return header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile)
-
-
-def _open(path: PathLike, *, header_only: bool) -> tuple[Any, list[str]]:
-    """Return the binding's file object and what the library printed."""
-    messages: list[str] = []
-    try:
-        with library_messages() as messages:
-            return OpenEXR.File(os.fspath(path), separate_channels=True, header_only=header_only), messages
-    except LIBRARY_ERRORS as error:
-        if other := other_kind(path):
-            raise InvalidFileError(f"{path}: is {other}; frames and images are read from OpenEXR") from None
-        raise InvalidFileError(
-            f"{path}: is not a readable OpenEXR file{_detail(path, messages or [str(error)])}"
-        ) from None
-
-
-def other_kind(path: PathLike) -> str:
-    """Return what a file is by its first bytes, such as ``"a PNG"``, or an empty string."""
-    try:
-        with open(path, "rb") as file:
-            start = file.read(16)
-    except OSError:
-        return ""
-    return next((kind for magic, kind in OTHER_KINDS if start.startswith(magic)), "")
-
-
-def _detail(path: PathLike, messages: Sequence[str]) -> str:
-    """Return the library's first message, in brackets, without the path that it starts with."""
-    return f" ({messages[0].removeprefix(f'{path}: ')})" if messages else ""
-
-
-@contextlib.contextmanager
-def library_messages() -> Iterator[list[str]]:
-    """Collect what the OpenEXR library prints on failure, so that it goes into the error instead of the terminal.
-
-    The C library writes to the process's standard error and the binding to Python's standard output; neither can be
-    switched off. The list is filled when the block ends.
-    """
-    messages: list[str] = []
-    with _STDERR_LOCK, tempfile.TemporaryFile() as log, contextlib.redirect_stdout(io.StringIO()):
-        saved = os.dup(_STDERR_DESCRIPTOR)
-        os.dup2(log.fileno(), _STDERR_DESCRIPTOR)
-        try:
-            yield messages
-        finally:
-            os.dup2(saved, _STDERR_DESCRIPTOR)
-            os.close(saved)
-            log.seek(0)
-            messages += log.read().decode(errors="replace").splitlines()
-
-
-def check_headers(path: PathLike, headers: Sequence[Mapping[str, Any]], *, deep: bool = False) -> None:
-    """Raise InvalidFileError before any pixel is read if a file is larger than `MAX_VALUES`, or deep if not allowed."""
-    total = stored = 0
-    for header in headers:
-        if is_deep(header) and not deep:
-            raise InvalidFileError(f"{path}: holds a deep image; only flat images can be read here")
-        if header.get("type") == OpenEXR.deeptile:
-            raise InvalidFileError(f"{path}: holds deep tiles; only deep scanlines can be read")
-        data, display = window(header["dataWindow"]), window(header["displayWindow"])
-        if min(*data[2:], *display[2:]) < 1:
-            raise InvalidFileError(f"{path}: has an empty window")
-        if display != window(headers[0]["displayWindow"]):
-            raise InvalidFileError(f"{path}: its parts have different display windows")
-        total += max(data.width * data.height, display.width * display.height) * len(header["channels"])
-        if not is_deep(header):
-            stored += _least_stored(header, data)
-    if any(is_deep(header) for header in headers):
-        total += deep_sample_bytes(path) // FLOAT_BYTES
-    if total > MAX_VALUES:
-        raise InvalidFileError(f"{path}: holds {total} values (pixels times channels); at most {MAX_VALUES} are read")
-    if stored > os.path.getsize(path):
-        raise InvalidFileError(f"{path}: is too short for the {total} values that it promises: truncated or corrupt")
-
-
-def _least_stored(header: Mapping[str, Any], data: Window) -> int:
-    """Return the fewest bytes that a flat part can take in a file."""
-    expansion = EXPANSION.get(header.get("compression"))
-    if expansion is None:
-        return 0
-    values = sum(data.width * data.height // (each.xSampling * each.ySampling) for each in header["channels"])
-    return int(values) * LEAST_BYTES // expansion
 
 
 def window(box: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]) -> Window:
@@ -428,3 +259,15 @@ def covered(image: Image, name: str, target: Window) -> BoolArray:
 def part_header() -> dict[str, Any]:
     """Return the header attributes that every flat part is written with."""
     return {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+
+
+def raster_header(raster: Raster, data: Window) -> dict[str, Any]:
+    """Return the header attributes that say where the pixels of a data window lie."""
+    header: dict[str, Any] = {"dataWindow": _box(data), "displayWindow": _box(raster.display)}
+    return header | {"pixelAspectRatio": float(raster.pixel_aspect)}
+
+
+def _box(window: Window) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return a window as the OpenEXR binding takes it: with an inclusive maximum."""
+    left, top, width, height = window
+    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -11,22 +13,21 @@ import OpenEXR
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError
 from spreadlets.files.atomic import atomic_path
-from spreadlets.files.attributes import carried_attributes
+from spreadlets.files.attributes import carry_attributes
+from spreadlets.files.exr_file import ExrFile, Source, library_messages
 from spreadlets.files.exr_parts import (
     Image,
     check_same_window,
     covered,
     gather,
-    library_messages,
     merged,
     part_header,
-    read_headers,
-    read_parts,
-    window,
+    raster_header,
 )
+from spreadlets.files.kinds import open_file
 from spreadlets.files.tlfr import HEADER_SUFFIX, is_tlfr, read_tlfr
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.raster import Raster
+from spreadlets.scene.raster import Window
 from spreadlets.scene.samples import SampleBuffer
 
 CHANNELS: Mapping[str, tuple[str, ...]] = {
@@ -46,7 +47,7 @@ VALID = "valid"
 """Channel that is 0 where a pixel has no such sample; it is there only if some pixel lacks one."""
 
 
-def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool = False) -> SampleBuffer:
+def read_samples(path: Source, *, camera: ThinLens | None = None, repair: bool = False) -> SampleBuffer:
     """Read a buffer of labelled samples.
 
     Parameters
@@ -64,7 +65,8 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
     Returns
     -------
     SampleBuffer
-        In the file's display window; samples outside the data window are missing.
+        In the file's data window, with its raster; of several windows in one that holds them all, where samples
+        outside their own are missing.
 
     Raises
     ------
@@ -85,27 +87,21 @@ def read_samples(path: PathLike, *, camera: ThinLens | None = None, repair: bool
     >>> sp.read_samples("samples.exr").n_samples
     2
     """
-    name = os.fspath(path).removesuffix(HEADER_SUFFIX)
-    try:
-        if is_tlfr(name):
-            return read_tlfr(name, shutter=None if camera is None else camera.shutter, repair=repair)
-        return _read_exr(path, repair)
-    except InvalidFrameError as error:
-        raise InvalidFrameError(f"{path}: {error}") from None
+    if isinstance(path, ExrFile):
+        return _samples_of(path, repair)
+    with open_file(os.fspath(path).removesuffix(HEADER_SUFFIX)) as file:
+        if not is_tlfr(file):
+            return _samples_of(ExrFile(file), repair)
+        try:
+            return read_tlfr(file, shutter=None if camera is None else camera.shutter, repair=repair)
+        except InvalidFrameError as error:
+            raise InvalidFrameError(f"{path}: {error}") from None
 
 
 def samples_files(path: PathLike) -> list[str]:
     """Return the files that `read_samples` may read for a path."""
     name = os.fspath(path).removesuffix(HEADER_SUFFIX)
     return [os.fspath(path), name, name + HEADER_SUFFIX]
-
-
-def samples_raster(path: PathLike, shape: tuple[int, int]) -> Raster:
-    """Return where the pixels (H, W) lie that `read_samples` gives, and what the file's first header says besides."""
-    if is_tlfr(os.fspath(path).removesuffix(HEADER_SUFFIX)):
-        return Raster.of_shape(shape)
-    display = window(read_headers(path)[0]["displayWindow"])
-    return Raster(display, display, attributes=carried_attributes(path)[0])
 
 
 def write_samples(path: PathLike, samples: SampleBuffer) -> None:
@@ -116,7 +112,7 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
     path : path
         Where to write; an existing file is replaced.
     samples : SampleBuffer
-        Stored as 32-bit floats, one part per sample.
+        Stored as 32-bit floats, one part per sample, with the windows, pixel aspect and attributes of its raster.
 
     Raises
     ------
@@ -144,19 +140,21 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
         if not samples.valid.all():
             channels[VALID] = samples.valid[:, :, index].astype(np.float32)
         stored = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-        parts.append(OpenEXR.Part({**part_header(), "name": f"sample{index}"}, stored))
+        header = part_header() | raster_header(samples.raster, samples.raster.data)
+        parts.append(OpenEXR.Part({**header, "name": f"sample{index}"}, stored))
     with atomic_path(path, ".exr") as temporary, library_messages():
         OpenEXR.File(parts).write(str(temporary))
+        carry_attributes(temporary, [samples.raster.attributes] * samples.n_samples)
 
 
-def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
+def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
     """Return the samples of an OpenEXR file, one per part."""
-    images = {part.name: merged(path, [part]) for part in read_parts(path)}
+    images = {part.name: merged(file.path, [part]) for part in file.parts}
     for name, image in images.items():
         missing = [channel for channel in NEEDED if channel not in image.planes]
         if missing:
             raise InvalidFileError(
-                f"{path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
+                f"{file.path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
                 f"Channels found: {', '.join(sorted(image.planes))}"
             )
     first = next(iter(images.values()))
@@ -164,25 +162,26 @@ def _read_exr(path: PathLike, repair: bool) -> SampleBuffer:
     there = [label for label, names in CHANNELS.items() if set(names) <= first.planes.keys()]
     for image in images.values():
         check_same_window(image, [*colours, *(name for label in there for name in CHANNELS[label])])
-    labels = {label: _stacked(images, CHANNELS[label]) for label in there}
+    windows = [image.raster("R").data for image in images.values()]
+    raster = replace(first.raster("R"), data=functools.reduce(Window.union, windows))
+    labels = {label: _stacked(images, CHANNELS[label], raster.data) for label in there}
     scalars = [label for label in there if len(CHANNELS[label]) == 1]
     labels |= {label: labels[label][..., 0] for label in scalars}
-    valid = np.stack([_there(image) for image in images.values()], axis=2)
-    return SampleBuffer(_stacked(images, colours), valid=valid, repair=repair, **labels)
+    valid = np.stack([_there(image, raster.data) for image in images.values()], axis=2)
+    try:
+        return SampleBuffer(_stacked(images, colours, raster.data), valid=valid, raster=raster, repair=repair, **labels)
+    except InvalidFrameError as error:
+        raise InvalidFrameError(f"{file.path}: {error}") from None
 
 
-def _stacked(images: Mapping[str, Image], names: tuple[str, ...]) -> FloatArray:
-    """Return channels of all parts, (H, W, S, n)."""
-    display = next(iter(images.values())).display
-    result = np.empty((display.height, display.width, len(images), len(names)), np.float32)
-    for index, image in enumerate(images.values()):
-        result[:, :, index] = gather(image, names)
-    return result
+def _stacked(images: Mapping[str, Image], names: tuple[str, ...], target: Window) -> FloatArray:
+    """Return channels of all parts in a window, (H, W, S, n)."""
+    return np.stack([gather(image, names, target) for image in images.values()], axis=2)
 
 
-def _there(image: Image) -> BoolArray:
+def _there(image: Image, target: Window) -> BoolArray:
     """Return where a part has samples: inside its data window, and where it does not say otherwise."""
     if VALID in image.planes:
         check_same_window(image, ["R", VALID])
-        return gather(image, (VALID,))[..., 0] > 0
-    return covered(image, "R", image.display)
+        return gather(image, (VALID,), target)[..., 0] > 0
+    return covered(image, "R", target)

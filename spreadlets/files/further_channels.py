@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import FloatArray, PathLike
+from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidFileError
-from spreadlets.files.exr_parts import Image, check_same_window, gather, is_deep, merged, read_headers, read_parts
+from spreadlets.files.exr_file import Source, opened
+from spreadlets.files.exr_parts import Image, check_same_window, gather
 from spreadlets.files.recognise import ReadOptions, find_colour
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import Raster, placed
@@ -19,13 +20,13 @@ MAIN = ("R", "G", "B", "A")
 
 
 def with_colours(
-    paths: Sequence[PathLike], frame: Frame, names: Sequence[str], view: str | None = None
+    paths: Sequence[Source], frame: Frame, names: Sequence[str], view: str | None = None
 ) -> Iterator[tuple[str, Frame]]:
     """Yield a frame with the colours of each named layer of its file, and its own alpha and labels.
 
     Parameters
     ----------
-    paths : sequence of path
+    paths : sequence of path or ExrFile
         The file of the frame.
     frame : Frame
         As it was read from there.
@@ -55,13 +56,13 @@ def named_channels(name: str, blurred: FloatArray) -> dict[str, FloatArray]:
 
 
 def other_channels(
-    paths: Sequence[PathLike], raster: Raster, colour_layer: str | Sequence[str] | None = None, view: str | None = None
+    paths: Sequence[Source], raster: Raster, colour_layer: str | Sequence[str] | None = None, view: str | None = None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return all channels of a frame's file but its colours, as they are stored.
 
     Parameters
     ----------
-    paths : sequence of path
+    paths : sequence of path or ExrFile
         The file of the frame.
     raster : Raster
         Where the frame's pixels lie; channels are 0 where they have none.
@@ -81,8 +82,9 @@ def other_channels(
     return {name: placed(plane.pixels, plane.window, raster.data) for name, plane in others.items()}
 
 
-def _only_image(paths: Sequence[PathLike], view: str | None) -> Image:
+def _only_image(paths: Sequence[Source], view: str | None) -> Image:
     """Return all channels of the file, if there is one and it is flat."""
-    if len(paths) > 1 or any(is_deep(header) for header in read_headers(paths[0])):
-        raise InvalidFileError(f"{paths[0]}: further channels are taken from one flat file, not from layers")
-    return merged(paths[0], read_parts(paths[0])).of_view(view)
+    with opened(paths) as files:
+        if len(files) > 1 or files[0].is_deep:
+            raise InvalidFileError(f"{files[0].path}: further channels are taken from one flat file, not from layers")
+        return files[0].image.of_view(view)

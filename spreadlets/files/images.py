@@ -12,28 +12,33 @@ import numpy.typing as npt
 import OpenEXR
 
 from spreadlets.arrays import FloatArray, PathLike
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.files.atomic import atomic_path
 from spreadlets.files.attributes import FILE_ATTRIBUTES, WRITTEN_BY_LIBRARY, carry_attributes, chromaticities
-from spreadlets.files.exr_parts import library_messages, part_header
+from spreadlets.files.exr_file import library_messages
+from spreadlets.files.exr_parts import part_header, raster_header
+from spreadlets.files.png_tiff import in_steps, png_bytes, tiff_bytes
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import image_array
 from spreadlets.scene.primaries import to_rec_709
-from spreadlets.scene.raster import Raster, Window, placed
+from spreadlets.scene.raster import Raster, placed
 
 HALF_MAX = float(np.finfo(np.float16).max)
 
 OPENEXR = ".exr"
-PICTURES: Mapping[str, Mapping[str, Any]] = {
-    ".png": {"format": "PNG"},
-    ".jpg": {"format": "JPEG", "quality": 95, "subsampling": 0},
-    ".jpeg": {"format": "JPEG", "quality": 95, "subsampling": 0},
-    ".tif": {"format": "TIFF", "compression": "tiff_adobe_deflate"},
-    ".tiff": {"format": "TIFF", "compression": "tiff_adobe_deflate"},
+BIT_DEPTHS: Mapping[str, tuple[int, ...]] = {
+    ".png": (8, 16),
+    ".jpg": (8,),
+    ".jpeg": (8,),
+    ".tif": (8, 16),
+    ".tiff": (8, 16),
 }
-"""Formats of 8 bits by their extensions, and how Pillow is told to write them."""
+"""Bits of a value in pictures for viewing, by their extensions, the usual number first."""
 
-EXTENSIONS = (OPENEXR, *PICTURES)
+JPEG: Mapping[str, Any] = {"format": "JPEG", "quality": 95, "subsampling": 0}
+"""How Pillow is told to write them."""
+
+EXTENSIONS = (OPENEXR, *BIT_DEPTHS)
 """What the name of an image may end with, in upper or lower case."""
 
 
@@ -51,11 +56,20 @@ def image_extension(path: PathLike) -> str:
     return extension
 
 
+def check_bit_depth(path: PathLike, bit_depth: int | None) -> None:
+    """Raise InvalidParameterError unless the format of a path, which is none to refuse, can have so many bits."""
+    allowed = BIT_DEPTHS.get(image_extension(path), (32, 16))
+    if bit_depth is not None and bit_depth not in allowed:
+        listed = " or ".join(map(str, sorted(allowed)))
+        raise InvalidParameterError(f"{path}: {option('bit_depth')} is {bit_depth}; this format has {listed}")
+
+
 def write_image(
     path: PathLike,
     radiance: npt.ArrayLike,
     *,
     half: bool = False,
+    bit_depth: int | None = None,
     metadata: Mapping[str, str | int | float] | None = None,
     raster: Raster | None = None,
     channels: Mapping[str, npt.NDArray[Any]] | None = None,
@@ -66,12 +80,14 @@ def write_image(
     ----------
     path : path
         Where to write; an existing file is replaced. ``.exr`` is OpenEXR; ``.png``, ``.jpg``, ``.jpeg``, ``.tif`` and
-        ``.tiff`` are pictures for viewing: of the display window, 8-bit sRGB, dithered, over black, NaN as black; from
-        the primaries that the raster's chromaticities name.
+        ``.tiff`` are pictures for viewing: of the display window, sRGB of 8 or 16 bits, dithered, over black, NaN as
+        black; from the primaries that the raster's chromaticities name.
     radiance : array_like of shape (H, W, 3) or (H, W, 4)
         Linear values, stored as R, G, B and A.
     half : bool
-        Store 16-bit floats (values beyond 65504 are clipped) instead of 32-bit ones.
+        Store 16-bit floats (values beyond 65504 are clipped) instead of 32-bit ones; as ``bit_depth=16`` does.
+    bit_depth : int, optional
+        Of each value: 32 or 16 in OpenEXR, 8 or 16 in PNG and TIFF; by default the first.
     metadata : mapping, optional
         Header attributes: names to strings, integers or floats.
     raster : Raster, optional
@@ -84,8 +100,8 @@ def write_image(
     InvalidFrameError
         If `radiance` is no such array.
     InvalidParameterError
-        If no format has the extension, the metadata has a reserved name or a value of another type, or a picture for
-        viewing is to hold `half`, `metadata` or `channels`.
+        If no format has the extension, or it has not the bit depth, the metadata has a reserved name or a value of
+        another type, or a picture for viewing is to hold `half`, `metadata` or `channels`.
     InvalidFileError
         If the file cannot be written.
 
@@ -99,21 +115,20 @@ def write_image(
     """
     image = image_array("radiance", radiance)
     raster = raster or Raster.of_shape((image.shape[0], image.shape[1]))
-    extension = image_extension(path)
-    if extension != OPENEXR:
+    check_bit_depth(path, bit_depth)
+    if image_extension(path) != OPENEXR:
         for name, value in (("half", half), ("metadata", metadata), ("channels", channels)):
             if value:
                 raise InvalidParameterError(f"{path}: {name} is for OpenEXR; name it {OPENEXR}")
         shown = placed(image, raster.data, raster.display)[..., :3]
         own = chromaticities(raster.attributes)
-        _write_picture(path, shown if own is None else to_rec_709(shown, own), PICTURES[extension])
+        _write_picture(path, shown if own is None else to_rec_709(shown, own), image_extension(path), bit_depth or 8)
         return
     header = {**_checked_metadata(metadata or {}), **part_header()}
     window = raster.written(image)
-    stored = _stored(placed(image, raster.data, window), half)
+    stored = _stored(placed(image, raster.data, window), half or bit_depth == 16)
     stored |= {name: placed(values, raster.data, window) for name, values in (channels or {}).items()}
-    header |= {"dataWindow": _box(window), "displayWindow": _box(raster.display)}
-    header |= {"pixelAspectRatio": float(raster.pixel_aspect)}
+    header |= raster_header(raster, window)
     with atomic_path(path, OPENEXR) as temporary, library_messages():
         OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in stored.items()}).write(
             str(temporary)
@@ -140,8 +155,7 @@ def write_plane(path: PathLike, name: str, values: FloatArray, *, raster: Raster
         If the file cannot be written.
     """
     raster = raster or Raster.of_shape((values.shape[0], values.shape[1]))
-    header = {**part_header(), "dataWindow": _box(raster.data), "displayWindow": _box(raster.display)}
-    header |= {"pixelAspectRatio": float(raster.pixel_aspect)}
+    header = part_header() | raster_header(raster, raster.data)
     with atomic_path(path, OPENEXR) as temporary, library_messages():
         OpenEXR.File(header, {name: np.ascontiguousarray(values, np.float32)}).write(str(temporary))
 
@@ -168,29 +182,20 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
     >>> import numpy as np
     >>> sp.write_png("image.png", np.full((4, 6, 3), 0.18))
     """
-    _write_picture(path, image_array("radiance", radiance), PICTURES[".png"])
+    _write_picture(path, image_array("radiance", radiance), ".png", 8)
 
 
-def _write_picture(path: PathLike, image: FloatArray, settings: Mapping[str, Any]) -> None:
-    from PIL import Image as Picture
-
-    pixels = dithered(np.nan_to_num(display_encode(image[..., :3])))
+def _write_picture(path: PathLike, image: FloatArray, extension: str, bits: int) -> None:
+    pixels = in_steps(np.nan_to_num(display_encode(image[..., :3])), bits)
     with atomic_path(path, ".picture") as temporary:
-        Picture.fromarray(pixels).save(temporary, **settings)
+        if extension == ".png":
+            temporary.write_bytes(png_bytes(pixels))
+        elif extension in (".tif", ".tiff"):
+            temporary.write_bytes(tiff_bytes(pixels))
+        else:
+            from PIL import Image as Picture
 
-
-def dithered(values: FloatArray) -> npt.NDArray[np.uint8]:
-    """Return values in [0, 1] as 8-bit numbers whose mean is right: between two steps, either by chance.
-
-    Notes
-    -----
-    The chance is the same in every run. Values of whole steps stay what they are.
-    """
-    chance = np.random.default_rng(0).random(values.shape, np.float32)
-    steps = 255 * values.astype(np.float64)
-    nearest = np.rint(steps)
-    exact = np.abs(steps - nearest) < 1e-3
-    return np.where(exact, nearest, np.floor(steps + chance)).clip(0, 255).astype(np.uint8)
+            Picture.fromarray(pixels).save(temporary, **JPEG)
 
 
 def _stored(image: FloatArray, half: bool) -> dict[str, npt.NDArray[Any]]:
@@ -199,12 +204,6 @@ def _stored(image: FloatArray, half: bool) -> dict[str, npt.NDArray[Any]]:
     if half:
         return {name: np.clip(plane, -HALF_MAX, HALF_MAX).astype(np.float16) for name, plane in planes.items()}
     return planes
-
-
-def _box(window: Window) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return a window as the OpenEXR binding takes it: with an inclusive maximum."""
-    left, top, width, height = window
-    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)
 
 
 def _checked_metadata(metadata: Mapping[str, str | int | float]) -> dict[str, str | int | float]:

@@ -13,10 +13,11 @@ import numpy as np
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import SpreadletsError
 from spreadlets.files.conventions import background_places, planar_depth
-from spreadlets.files.exr_chunks import read_deep_part
-from spreadlets.files.exr_frames import deep_header, flat_layers, read_frame, read_passes
-from spreadlets.files.exr_parts import EXR_MAGIC, Image, gather, is_deep, read_headers
+from spreadlets.files.exr_file import ExrFile, Source, is_deep
+from spreadlets.files.exr_frames import deep_header, flat_layers, frame_of, read_passes
+from spreadlets.files.exr_parts import Image, gather
 from spreadlets.files.exr_samples import read_samples
+from spreadlets.files.kinds import OPENEXR, file_kind, open_file
 from spreadlets.files.recognise import (
     Colour,
     Found,
@@ -35,19 +36,15 @@ from spreadlets.scene.samples import SampleBuffer
 
 def is_frame_file(path: PathLike) -> bool:
     """Tell by content whether a path is an OpenEXR file or a TLFR sample buffer."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(EXR_MAGIC)) == EXR_MAGIC or is_tlfr(path)
-    except OSError:
-        return False
+    return file_kind(path) == OPENEXR or is_tlfr(path)
 
 
-def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, Any]:
+def frame_info(path: Source, options: ReadOptions | None = None) -> dict[str, Any]:
     """Return what a file holds and what was recognised.
 
     Parameters
     ----------
-    path : path
+    path : path or ExrFile
         An OpenEXR file, flat or deep, of a frame or of samples, or a TLFR buffer.
     options : ReadOptions, optional
         What the caller would tell `read_frame`.
@@ -65,29 +62,33 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
         If the file cannot be read at all.
     """
     options = options or ReadOptions()
-    if is_tlfr(path):
-        return _samples_info(path, [])
-    headers = read_headers(path)
-    parts = [_part_info(header) for header in headers]
+    if isinstance(path, ExrFile):
+        return _exr_info(path, options)
+    with open_file(path) as file:
+        return _samples_info(path, []) if is_tlfr(file) else _exr_info(ExrFile(file), options)
+
+
+def _exr_info(file: ExrFile, options: ReadOptions) -> dict[str, Any]:
+    """Return what an OpenEXR file holds and what was recognised."""
+    parts = [_part_info(header) for header in file.headers]
     if all({"lens.u", "lens.v", "time"} <= set(part["channels"]) for part in parts):
-        return _samples_info(path, parts)
-    said, problems, frame = _tried(path, options)
+        return _samples_info(file, parts)
+    passes = read_passes(options)
+    said, problems, frame = _tried(file, passes, options)
     report: dict[str, Any] = {}
-    deep = any(part["type"] == "deep" for part in parts)
-    if deep:
-        index, image = deep_header(path, headers, options)
+    if file.is_deep:
+        index, image = deep_header(file, options)
         layers = [_pieces(image, options, Passes())]
-        counts = read_deep_part(path, index).counts
+        counts = file.deep_part(index).counts
         report["samples_per_pixel"] = [int(counts.min()), int(counts.max())]
     else:
-        passes = read_passes(options)
-        layers = [_pieces(image, settings, passes) for image, settings in flat_layers(path, options)]
-    kind = "deep" if deep else "layers" if len(layers) > 1 else "frame"
+        layers = [_pieces(image, settings, passes) for image, settings in flat_layers(file, options)]
+    kind = "deep" if file.is_deep else "layers" if len(layers) > 1 else "frame"
     height, width = layers[0].image.shape
     report = {"kind": kind, "width": width, "height": height, "parts": parts} | report
     if layers[0].image.views:
         report["views"] = list(layers[0].image.views)
-    shown = [] if frame is None else [frame.layers] if deep else [[layer] for layer in frame.layers]
+    shown = [] if frame is None else [frame.layers] if file.is_deep else [[layer] for layer in frame.layers]
     report["layers"] = [
         _layer_info(piece) | (_ranges(piece, shown[index], options) if index < len(shown) else {})
         for index, piece in enumerate(layers)
@@ -104,20 +105,20 @@ def frame_info(path: PathLike, options: ReadOptions | None = None) -> dict[str, 
     return report | {"warnings": warnings, "problems": problems}
 
 
-def _tried(path: PathLike, options: ReadOptions) -> tuple[list[str], list[str], Frame | None]:
+def _tried(file: ExrFile, passes: Passes, options: ReadOptions) -> tuple[list[str], list[str], Frame | None]:
     """Return the warnings and the problem that reading gives, and the frame; of a bad one, that mended."""
     with _warnings.catch_warnings(record=True) as caught:
         _warnings.simplefilter("always")
         problems: list[str] = []
         frame: Frame | None = None
         try:
-            frame = read_frame(path, options=options)
+            frame = frame_of([file], passes, options)
         except SpreadletsError as error:
             problems.append(str(error))
     said = list(dict.fromkeys(str(warning.message) for warning in caught))
     if problems and not options.repair:
         with _warnings.catch_warnings(action="ignore"), suppress(SpreadletsError):
-            frame = read_frame(path, options=replace(options, repair=True))
+            frame = frame_of([file], passes, replace(options, repair=True))
     if frame is not None and not problems and frame.repaired_pixels + frame.dropped_pixels:
         said.append(f"{frame.repaired_pixels} invalid pixels are mended, {frame.dropped_pixels} are dropped")
     return said, problems, frame
@@ -176,7 +177,7 @@ def _part_info(header: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _samples_info(path: PathLike, parts: list[dict[str, Any]]) -> dict[str, Any]:
+def _samples_info(path: Source, parts: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the ranges of a sample buffer's labels."""
     samples = read_samples(path, repair=True)
     found = {name: _range(values[samples.valid]) for name, values in samples.labels.items()}

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, MissingPackageError
+from spreadlets.files.exr_file import library_messages
 from spreadlets.files.exr_frames import read_image
-from spreadlets.files.exr_parts import library_messages
 from spreadlets.packages import optional_package
 from spreadlets.scene.display import display_decode
 

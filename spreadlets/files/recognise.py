@@ -435,9 +435,15 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
     InvalidFileError
         If it is missing or ambiguous.
     """
-    # Take what the user says, or rank the candidates.
-    if options.depth_channel is not None:
-        return _given_depth(image, colour, options)
+    # Take what the user says, or look for it.
+    given = options.depth_channel is not None
+    found = _given_depth(image, colour, options) if given else _found_depth(image, colour, options, alone)
+    return found if options.depth_convention is not None else _as_values_say(found)
+
+
+def _found_depth(image: Image, colour: Colour, options: ReadOptions, alone: bool) -> Found:
+    """Return the depth channel that stands nearest the colour, with the convention that it has by its name."""
+    # Rank the candidates.
     ranked = _depth_candidates(image, colour, options)
     # Without any, take the only channel of a pass, or tell what is missing.
     if not ranked:
@@ -461,6 +467,24 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
     if best[0] == ELSEWHERE and not alone:
         chosen = replace(chosen, doubt=_elsewhere("depth", chosen, colour, "depth_channel"))
     return chosen
+
+
+def _as_values_say(found: Found) -> Found:
+    """Return a depth that would be 1 over the depth as planar where most of it would be nearer than a metre.
+
+    In compositing both have the same name: 1 over the depth is what the program's own renderer writes, planar depth
+    what others do.
+    """
+    stored = found.image.planes[found.channels[0]].pixels
+    values = stored[np.isfinite(stored) & (stored > 0)]
+    if found.convention != "inverse" or not values.size or np.median(values) <= INVERSE_LIMIT:
+        return found
+    doubt = (
+        f"{found.channels[0]} holds {values.min():.3g} to {values.max():.3g}, too near for 1 over the depth (nearest "
+        f"{1 / values.max():.3g} m), and is taken for planar metres; say {option('depth_convention')} inverse if it is "
+        "1 over the depth, planar if it is not"
+    )
+    return replace(found, convention="planar", doubt=doubt)
 
 
 def _given_depth(image: Image, colour: Colour, options: ReadOptions) -> Found:
@@ -546,18 +570,12 @@ def depth_warning(name: str, found: Found, stored: FloatArray, seen: BoolArray, 
         return ""
     # Look at what was seen.
     values = stored[np.isfinite(stored) & seen]
-    if values.size == 0 or values.min() < 0:
+    if found.convention != "planar" or values.size == 0 or values.min() < 0:
         return ""
     channel = found.channels[0]
     spelled = option("depth_convention")
     remedy = f"say {spelled} inverse if it is 1 over the depth, planar if it is not"
     span = f"{values.min():.3g} to {values.max():.3g}"
-    # An inverse depth that is large would be nearer than a lens.
-    if found.convention == "inverse" and np.median(values) > INVERSE_LIMIT:
-        nearest = f"{1 / values.max():.3g} m"
-        return f"{name}: {channel} holds {span}, taken for 1 over the depth: nearest {nearest}; {remedy}"
-    if found.convention != "planar":
-        return ""
     # Zeros, and a wide range of small numbers, are what an inverse depth looks like.
     zeros = int(np.count_nonzero(values == 0))
     if 0 < zeros < values.size:

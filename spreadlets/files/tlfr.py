@@ -25,6 +25,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -32,15 +33,14 @@ import numpy.typing as npt
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.files.atomic import atomic_path
-from spreadlets.files.exr_parts import MAX_VALUES
+from spreadlets.files.exr_file import MAX_VALUES
+from spreadlets.files.kinds import TLFR, file_kind, open_file
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
 HEADER_SUFFIX = ".header"
 COLUMNS = ("x", "y", "z/w", "w", "u", "v", "t", "r", "g", "b", "a", "mv_x", "mv_y", "mv_w", "dwdx", "dwdy")
 VERSION = "1.3"
-MAGIC = b"Version "
-"""How a header starts."""
 MAX_HEADER_BYTES = 1 << 16
 MAX_NUMBER_BYTES = 64
 """Characters that a number may take on average, with its separator; a longer text file is not what its header says."""
@@ -71,24 +71,19 @@ class _Header:
         return self.width * self.height * self.samples
 
 
-def is_tlfr(path: PathLike) -> bool:
+def is_tlfr(source: PathLike | BinaryIO) -> bool:
     """Tell whether a file is a TLFR buffer: whether there is a header beside it, or it starts with one."""
-    if os.path.isfile(os.fspath(path) + HEADER_SUFFIX):
-        return True
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
+    path = source if isinstance(source, str | os.PathLike) else source.name
+    return os.path.isfile(os.fspath(path) + HEADER_SUFFIX) or file_kind(source) == TLFR
 
 
-def read_tlfr(path: PathLike, *, shutter: tuple[float, float] | None = None, repair: bool = False) -> SampleBuffer:
+def read_tlfr(file: BinaryIO, *, shutter: tuple[float, float] | None = None, repair: bool = False) -> SampleBuffer:
     """Read a TLFR sample buffer, text or binary.
 
     Parameters
     ----------
-    path : path
-        The file of samples; its header is ``PATH.header``, or stands at its start.
+    file : binary file
+        The samples; their header is the file ``NAME.header``, or stands at the start of this one.
     shutter : tuple of two floats, optional
         ``(open, close)`` in frames from the frame's time, as in the camera that will be used; by default that of
         `ThinLens`.
@@ -110,9 +105,9 @@ def read_tlfr(path: PathLike, *, shutter: tuple[float, float] | None = None, rep
         If the shutter does not stay open.
     """
     opens, closes = _checked_shutter(shutter or ThinLens.shutter)
-    header = _read_header(path)
-    table = _read_binary(path, header) if header.binary else _read_text(path, header)
-    samples, valid = _in_pixels(path, table, header)
+    header = _read_header(file)
+    table = _read_binary(file, header) if header.binary else _read_text(file, header)
+    samples, valid = _in_pixels(file.name, table, header)
     column = {name: samples[..., index] for index, name in enumerate(COLUMNS)}
     lens = samples[..., 4:6]
     with np.errstate(all="ignore"):  # bad values are found by the validation
@@ -122,13 +117,15 @@ def read_tlfr(path: PathLike, *, shutter: tuple[float, float] | None = None, rep
     return SampleBuffer(
         samples[..., 7:10],
         column["w"],
+        motion["motion"],
         lens_uv=lens,
         time=opens + column["t"] * (closes - opens),
         offset=np.stack([column["x"] - cols[..., None], column["y"] - rows[..., None]], axis=3) - np.float32(0.5),
         valid=valid,
         coc_radius=coc,
+        motion_prev=motion.get("motion_prev"),
+        motion_next=motion.get("motion_next"),
         repair=repair,
-        **motion,
     )
 
 
@@ -165,11 +162,8 @@ def write_tlfr(
     Examples
     --------
     >>> import numpy as np
-    >>> shape = (4, 6, 2)
-    >>> pairs = np.zeros((*shape, 2))
-    >>> samples = sp.SampleBuffer(
-    ...     np.ones((*shape, 3)), depth=np.ones(shape), motion=pairs, lens_uv=pairs, time=np.zeros(shape)
-    ... )
+    >>> lens_uv = np.random.default_rng(0).uniform(-0.7, 0.7, (4, 6, 2, 2))
+    >>> samples = sp.SampleBuffer(np.ones((4, 6, 2, 3)), np.ones((4, 6, 2)), 0 * lens_uv, lens_uv, np.zeros((4, 6, 2)))
     >>> camera = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=2, focus_distance_m=2)
     >>> sp.write_tlfr("samples", samples, camera=camera)
     >>> sp.read_samples("samples", camera=camera).n_samples
@@ -206,19 +200,14 @@ def _checked_shutter(shutter: tuple[float, float]) -> tuple[float, float]:
 # --- Reading -------------------------------------------------------------------------------------------------------
 
 
-def _read_header(path: PathLike) -> _Header:
+def _read_header(file: BinaryIO) -> _Header:
     """Return the parsed header; it is checked before any sample is read."""
-    beside = os.fspath(path) + HEADER_SUFFIX
-    name = beside if os.path.exists(beside) or not is_tlfr(path) else os.fspath(path)
-    if os.path.exists(name) and not os.path.isfile(name):
-        raise InvalidFileError(f"{name}: is not a regular file")
-    try:
-        with open(name, "rb") as file:
-            text = file.read(MAX_HEADER_BYTES + 1).decode("latin-1")  # a byte a character: places are byte offsets
-    except OSError as error:
-        raise InvalidFileError(f"{name}: cannot be read: {error.strerror}") from error
-    start = 0
-    if name != beside:
+    name, beside, start = file.name, file.name + HEADER_SUFFIX, 0
+    if os.path.isfile(beside):
+        with open_file(beside) as header_file:
+            name, text = beside, _header_text(header_file)
+    else:
+        text = _header_text(file)
         columns = re.search(rf"^{re.escape(','.join(COLUMNS))}\r?\n", text, re.MULTILINE)
         if columns is None:
             raise InvalidFileError(
@@ -254,6 +243,12 @@ def _read_header(path: PathLike) -> _Header:
     return header
 
 
+def _header_text(file: BinaryIO) -> str:
+    """Return what a header may be, and one character more, from a file's beginning."""
+    file.seek(0)
+    return file.read(MAX_HEADER_BYTES + 1).decode("latin-1")  # a byte a character: places are byte offsets
+
+
 def _entry(name: str, text: str, pattern: str, key: str) -> str:
     """Return the value of one header line."""
     found = re.search(rf"^{pattern}\s*$", text, re.MULTILINE | re.IGNORECASE)
@@ -262,33 +257,33 @@ def _entry(name: str, text: str, pattern: str, key: str) -> str:
     return found.group(1)
 
 
-def _read_binary(path: PathLike, header: _Header) -> FloatArray:
+def _read_binary(file: BinaryIO, header: _Header) -> FloatArray:
     """Return the samples of a binary file, (n, 16)."""
     expected = header.n_samples * len(COLUMNS) * 4
-    size = _size(path) - header.start
+    size = _size(file) - header.start
     if size != expected:
-        raise InvalidFileError(f"{path}: has {size} bytes; its header promises {expected}")
-    return np.fromfile(path, "<f4", offset=header.start).astype(np.float32, copy=False).reshape(-1, len(COLUMNS))
+        raise InvalidFileError(f"{file.name}: has {size} bytes; its header promises {expected}")
+    file.seek(header.start)
+    return np.frombuffer(file.read(expected), "<f4").astype(np.float32, copy=False).reshape(-1, len(COLUMNS))
 
 
-def _read_text(path: PathLike, header: _Header) -> FloatArray:
+def _read_text(file: BinaryIO, header: _Header) -> FloatArray:
     """Return the samples of a text file, (n, 16), parsed in blocks of lines."""
     count = header.n_samples * len(COLUMNS)
-    size = _size(path) - header.start
+    size = _size(file) - header.start
     if not 2 * count - 1 <= size <= MAX_NUMBER_BYTES * count:
-        raise InvalidFileError(f"{path}: has {size} bytes, which cannot be the {count} numbers of its header")
+        raise InvalidFileError(f"{file.name}: has {size} bytes, which cannot be the {count} numbers of its header")
     table = np.empty(count, np.float32)
     done = 0
-    with open(path, "rb") as file:
-        file.seek(header.start)
-        while block := file.read(BLOCK_BYTES):
-            values = _numbers(path, block + file.readline(MAX_NUMBER_BYTES * len(COLUMNS)))
-            if done + values.size > count:
-                raise InvalidFileError(f"{path}: holds more than the {count} numbers that its header promises")
-            table[done : done + values.size] = values
-            done += values.size
+    file.seek(header.start)
+    while block := file.read(BLOCK_BYTES):
+        values = _numbers(file.name, block + file.readline(MAX_NUMBER_BYTES * len(COLUMNS)))
+        if done + values.size > count:
+            raise InvalidFileError(f"{file.name}: holds more than the {count} numbers that its header promises")
+        table[done : done + values.size] = values
+        done += values.size
     if done != count:
-        raise InvalidFileError(f"{path}: holds {done} numbers; its header promises {count}")
+        raise InvalidFileError(f"{file.name}: holds {done} numbers; its header promises {count}")
     return table.reshape(-1, len(COLUMNS))
 
 
@@ -302,11 +297,8 @@ def _numbers(path: PathLike, text: bytes) -> FloatArray:
             raise InvalidFileError(f"{path}: holds something that is not a number separated by commas") from None
 
 
-def _size(path: PathLike) -> int:
-    try:
-        return os.path.getsize(path)
-    except OSError as error:
-        raise InvalidFileError(f"{path}: cannot be read: {error.strerror}") from error
+def _size(file: BinaryIO) -> int:
+    return os.fstat(file.fileno()).st_size
 
 
 def _in_pixels(path: PathLike, table: FloatArray, header: _Header) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
@@ -373,7 +365,7 @@ def _coc_coefficients(samples: SampleBuffer, camera: ThinLens | None) -> tuple[f
     if samples.coc_radius is None:
         if camera is None:
             raise InvalidParameterError("the buffer has no coc_radius; the CoC coefficients need the camera")
-        scale = camera.coc_scale(samples.shape[1])
+        scale = camera.coc_scale(samples.raster.display.width)
         return -scale, scale / camera.focus_distance_m
     inverse = 1 / np.minimum(samples.depth, FAR_W).astype(np.float64).ravel()
     radius = samples.coc_radius.astype(np.float64).ravel()

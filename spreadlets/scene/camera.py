@@ -18,6 +18,42 @@ MM_PER_M = 1000.0
 
 
 @dataclass(frozen=True)
+class LensKey:
+    """Settings of a lens at a time; between two keys they change evenly, before the first and after the last they stay.
+
+    Parameters
+    ----------
+    time : float
+        Frames, relative to the label's time.
+    focal_length_mm, f_number, focus_distance_m : float, optional
+        As for `ThinLens`; what is not given is not keyed at this time.
+
+    Raises
+    ------
+    InvalidCameraError
+        If the time is not a finite number.
+
+    Examples
+    --------
+    >>> sp.LensKey(-0.25, focus_distance_m=2.0).f_number is None
+    True
+    """
+
+    time: float
+    focal_length_mm: float | None = None
+    f_number: float | None = None
+    focus_distance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(checked_number("time of a key", self.time)):
+            raise InvalidCameraError(f"the time of a key is {self.time}; it must be finite, in frames")
+
+
+KEYED = ("focal_length_mm", "f_number", "focus_distance_m")
+"""What may change while the shutter is open."""
+
+
+@dataclass(frozen=True)
 class ThinLens:
     """A thin-lens camera with a shutter.
 
@@ -41,6 +77,10 @@ class ThinLens:
         Blender, its width the longer side.
     sensor_height_mm : float, optional
         Height of the sensor in millimetres, > 0, for a vertical fit; by default the width is taken.
+    keys : tuple of LensKey
+        How the lens changes while the shutter is open: a pull of focus, a zoom, an iris that closes.
+    readout_frames : float
+        Rolling shutter: by how much later, in frames, the last row is exposed than the first; negative for earlier.
 
     Raises
     ------
@@ -64,6 +104,8 @@ class ThinLens:
     lens_model: LensModel = "renderer"
     sensor_fit: SensorFit = "horizontal"
     sensor_height_mm: float | None = None
+    keys: tuple[LensKey, ...] = ()
+    readout_frames: float = 0.0
 
     def __post_init__(self) -> None:
         height = () if self.sensor_height_mm is None else ("sensor_height_mm",)
@@ -77,6 +119,52 @@ class ThinLens:
             raise InvalidCameraError(f"sensor_fit is {self.sensor_fit!r}; allowed are {', '.join(get_args(SensorFit))}")
         if self.lens_model not in get_args(LensModel):
             raise InvalidCameraError(f"lens_model is {self.lens_model!r}; allowed are {', '.join(get_args(LensModel))}")
+        if not math.isfinite(checked_number("readout_frames", self.readout_frames)):
+            raise InvalidCameraError(f"readout_frames is {self.readout_frames}; it must be finite")
+        self._check_keys()
+
+    def _check_keys(self) -> None:
+        """Raise InvalidCameraError unless all keys are keys, and the lens is possible at each."""
+        if not isinstance(self.keys, tuple) or not all(isinstance(key, LensKey) for key in self.keys):
+            raise InvalidCameraError(f"keys is {self.keys!r}; it must be a tuple of LensKey")
+        for key in self.keys:
+            for name in KEYED:
+                if getattr(key, name) is not None:
+                    checked_number(f"{name} at {key.time:g} frames", getattr(key, name))
+            try:
+                self.at(key.time)
+            except InvalidCameraError as error:
+                raise InvalidCameraError(f"the key at {key.time:g} frames: {error}") from None
+
+    def at(self, time: float) -> ThinLens:
+        """Return the camera as it is at a time, without keys.
+
+        Parameters
+        ----------
+        time : float
+            Frames, relative to the label's time.
+
+        Examples
+        --------
+        >>> keys = sp.LensKey(0, focus_distance_m=3), sp.LensKey(1, focus_distance_m=5)
+        >>> pull = sp.ThinLens(50, 36, 2, 3, keys=keys)
+        >>> pull.at(0.5).focus_distance_m
+        4.0
+        """
+        if not self.keys:
+            return self
+        focal_length_mm, f_number, focus_distance_m = (self.value_at(name, time) for name in KEYED)
+        return replace(
+            self, keys=(), focal_length_mm=focal_length_mm, f_number=f_number, focus_distance_m=focus_distance_m
+        )
+
+    def value_at(self, name: str, time: float) -> float:
+        """Return a keyed value at a time; it changes evenly between keys."""
+        given = sorted((key.time, float(getattr(key, name))) for key in self.keys if getattr(key, name) is not None)
+        if not given:
+            return float(getattr(self, name))
+        times, values = np.array(given).T
+        return float(np.interp(time, times, values))
 
     def fitted(self, shape: tuple[int, int], pixel_aspect: float = 1.0) -> ThinLens:
         """Return the camera with the sensor's width that spans the width of an image.

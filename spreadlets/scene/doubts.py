@@ -154,7 +154,7 @@ def sample_doubts(samples: SampleBuffer, camera: ThinLens) -> list[str]:
     -------
     list of str
     """
-    found = camera_doubts(camera.fitted(samples.shape))
+    found = camera_doubts(camera.fitted(samples.raster.display.shape, samples.raster.pixel_aspect))
     lens, time = samples.lens_uv[samples.valid], samples.time[samples.valid]
     if not len(lens):
         return found

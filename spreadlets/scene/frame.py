@@ -41,6 +41,8 @@ class Layer:
         ``(dx, dy)`` in px per frame, y down, forward in time, at the label's time; zero where there is none.
     motion_prev, motion_next : ndarray of shape (H, W, 2), float32, or None
         The same over the frame before and the frame after, both forward in time, for a curved path.
+    depth_prev, depth_next : ndarray of shape (H, W), float32, or None
+        Depth of what the pixel shows, one frame before and one frame after.
     has_motion : bool
         Whether motion was given; if not, `motion` is zero.
     raster : Raster
@@ -52,6 +54,8 @@ class Layer:
     motion: FloatArray
     motion_prev: FloatArray | None = None
     motion_next: FloatArray | None = None
+    depth_prev: FloatArray | None = None
+    depth_next: FloatArray | None = None
     has_motion: bool = True
     raster: Raster = field(kw_only=True)
 
@@ -75,6 +79,9 @@ class Frame:
         is taken; without those the frame is still.
     motion_prev, motion_next : array_like of shape (H, W, 2), optional
         Motion from the frame before and to the frame after, both forward in time; they come together.
+    depth_prev, depth_next : array_like of shape (H, W), optional
+        Depth, in metres, of what the pixel shows, one frame before and one frame after, for what moves towards the
+        camera or away from it; they come together.
     raster : Raster, optional
         Where the pixels lie: the data window has the arrays' shape. By default all of them are displayed, as squares.
     repair : bool
@@ -120,10 +127,13 @@ class Frame:
         *,
         motion_prev: npt.ArrayLike | None = None,
         motion_next: npt.ArrayLike | None = None,
+        depth_prev: npt.ArrayLike | None = None,
+        depth_next: npt.ArrayLike | None = None,
         raster: Raster | None = None,
         repair: bool = False,
     ) -> None:
         layer = _converted_layer(radiance, depth, (motion, motion_prev, motion_next), raster)
+        layer = _with_depths(layer, depth_prev, depth_next)
         layer, self._repaired_pixels, self._dropped_pixels = _validated_layer(layer, repair)
         self._layers: tuple[Layer, ...] = (layer,)
 
@@ -181,7 +191,7 @@ class Frame:
         InvalidFrameError
             If the data window has another shape.
         """
-        _check_raster(raster, self.shape)
+        check_raster(raster, self.shape)
         return self._of([replace(layer, raster=raster) for layer in self.layers])
 
     def coloured(self, radiance: FloatArray) -> Frame:
@@ -362,7 +372,7 @@ def _converted_layer(
     # Give colours an alpha.
     height, width = colour.shape[:2]
     raster = raster or Raster.of_shape((height, width))
-    _check_raster(raster, (height, width))
+    check_raster(raster, (height, width))
     motion, motion_prev, motion_next = motions
     if colour.shape[2] == 3:
         colour = np.concatenate([colour, np.ones((height, width, 1), np.float32)], axis=2)
@@ -384,7 +394,22 @@ def _converted_layer(
     return Layer(colour, z, path, before, after, has_motion=bool(given), raster=raster)
 
 
-def _check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+def _with_depths(layer: Layer, depth_prev: npt.ArrayLike | None, depth_next: npt.ArrayLike | None) -> Layer:
+    """Return a layer with the depths of the frame before and after."""
+    if (depth_prev is None) != (depth_next is None):
+        lacking = "depth_prev" if depth_prev is None else "depth_next"
+        raise InvalidFrameError(f"{lacking} is missing; depth_prev and depth_next come together")
+    if depth_prev is None or depth_next is None:
+        return layer
+    before, after = (
+        _label_array("depth_prev", depth_prev, layer.shape),
+        _label_array("depth_next", depth_next, layer.shape),
+    )
+    return replace(layer, depth_prev=before, depth_next=after)
+
+
+def check_raster(raster: Raster, shape: tuple[int, int]) -> None:
+    """Raise InvalidFrameError unless a raster's data window has the shape of the pixels (H, W)."""
     if raster.data.shape != shape:
         raise InvalidFrameError(f"the data window has the shape {raster.data.shape}, the pixels {shape}")
 
@@ -395,6 +420,7 @@ def _placed_layer(layer: Layer, raster: Raster) -> Layer:
         return layer
     own, target = layer.raster.data, raster.data
     before, after = layer.motion_prev, layer.motion_next
+    nearer, farther = layer.depth_prev, layer.depth_next
     return replace(
         layer,
         radiance=placed(layer.radiance, own, target),
@@ -402,6 +428,8 @@ def _placed_layer(layer: Layer, raster: Raster) -> Layer:
         motion=placed(layer.motion, own, target),
         motion_prev=None if before is None else placed(before, own, target),
         motion_next=None if after is None else placed(after, own, target),
+        depth_prev=None if nearer is None else placed(nearer, own, target, float(BACKGROUND_DEPTH)),
+        depth_next=None if farther is None else placed(farther, own, target, float(BACKGROUND_DEPTH)),
         raster=raster,
     )
 
@@ -442,8 +470,15 @@ def _validated_layer(layer: Layer, repair: bool) -> tuple[Layer, int, int]:
         motion=replaced(layer.motion, _not_finite(layer.motion), np.float32(0)),
         motion_prev=None if before is None else replaced(before, _not_finite(before), np.float32(0)),
         motion_next=None if after is None else replaced(after, _not_finite(after), np.float32(0)),
+        depth_prev=_distances(layer.depth_prev, depth),
+        depth_next=_distances(layer.depth_next, depth),
     )
     return mended, int(np.count_nonzero(bad)) - dropped, dropped
+
+
+def _distances(other: FloatArray | None, depth: FloatArray) -> FloatArray | None:
+    """Return the depths of another frame, this one's where they are no distances."""
+    return None if other is None else np.where(other > 0, other, depth)
 
 
 def _clipped(radiance: FloatArray, *, quiet: bool) -> FloatArray:
@@ -506,6 +541,9 @@ def _problems(layer: Layer) -> list[Problem]:
     metres = "metres > 0, or inf for background" + _turned(layer.depth, visible)
     checks.append(Problem("depth", "NaN", metres, visible & np.isnan(layer.depth)))
     checks.append(Problem("depth", "zero or negative", metres, visible & (layer.depth <= 0)))
+    for name, other in (("depth_prev", layer.depth_prev), ("depth_next", layer.depth_next)):
+        if other is not None:
+            checks.append(Problem(name, "not a distance", metres, visible & ~(other > 0)))
     paths = {"motion_prev": layer.motion_prev, "motion_next": layer.motion_next, "motion": layer.motion}
     for name, path in paths.items():
         if path is not None:

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
-from spreadlets.scene.frame import ALPHA_TOLERANCE, BACKGROUND_DEPTH, Problem, real_array, replaced
+from spreadlets.scene.frame import ALPHA_TOLERANCE, BACKGROUND_DEPTH, Problem, check_raster, real_array, replaced
+from spreadlets.scene.raster import Raster
 
 LENS_TOLERANCE = 1e-3
 """A lens coordinate may leave [-1, 1] by this much: half floats near 1 step by 5e-4."""
@@ -55,6 +56,8 @@ class SampleBuffer:
         precedence over what a camera makes of the depth.
     motion_prev, motion_next : array_like of shape (H, W, S, 2), optional
         As for `Frame`, for curved paths; they come together.
+    raster : Raster, optional
+        Where the pixels lie, as for `Frame`; by default they are square, and all are displayed.
     repair : bool
         Drop offending samples (mark them as missing) and count them in `dropped_samples` instead of raising.
 
@@ -67,6 +70,7 @@ class SampleBuffer:
     valid : ndarray of shape (H, W, S), bool
     coc_radius : ndarray of shape (H, W, S), float32, or None
     motion_prev, motion_next : ndarray of shape (H, W, S, 2), float32, or None
+    raster : Raster
     dropped_samples : int
         How many samples `repair` dropped.
 
@@ -109,10 +113,13 @@ class SampleBuffer:
         coc_radius: npt.ArrayLike | None = None,
         motion_prev: npt.ArrayLike | None = None,
         motion_next: npt.ArrayLike | None = None,
+        raster: Raster | None = None,
         repair: bool = False,
     ) -> None:
         colours = _colour_array(radiance)
         shape = colours.shape[:3]
+        raster = raster or Raster.of_shape((shape[0], shape[1]))
+        check_raster(raster, (shape[0], shape[1]))
         if (motion_prev is None) != (motion_next is None):
             raise InvalidFrameError("motion_prev and motion_next come together; one of them is missing")
         given = {"depth": depth, "time": time, "motion": motion, "lens_uv": lens_uv, "offset": offset}
@@ -124,10 +131,12 @@ class SampleBuffer:
         }
         labels.setdefault("offset", np.zeros((*shape, 2), np.float32))
         there = np.ones(shape, np.bool_) if valid is None else _valid_array(valid, shape)
-        self._set(*_validated(colours, labels, there, repair))
+        self._set(*_validated(colours, labels, there, repair), raster)
 
-    def _set(self, radiance: FloatArray, labels: Mapping[str, FloatArray], valid: BoolArray, dropped: int) -> None:
-        self.radiance, self.valid, self.dropped_samples = radiance, valid, dropped
+    def _set(
+        self, radiance: FloatArray, labels: Mapping[str, FloatArray], valid: BoolArray, dropped: int, raster: Raster
+    ) -> None:
+        self.radiance, self.valid, self.dropped_samples, self.raster = radiance, valid, dropped, raster
         self.depth, self.time, self.motion = labels["depth"], labels["time"], labels["motion"]
         self.lens_uv, self.offset = labels["lens_uv"], labels["offset"]
         self.coc_radius = labels.get("coc_radius")
@@ -168,10 +177,22 @@ class SampleBuffer:
         """
         if not 1 <= n <= self.n_samples:
             raise InvalidParameterError(f"{n} samples per pixel were asked for; the buffer holds {self.n_samples}")
-        taken = type(self).__new__(type(self))
         labels = {name: values[:, :, :n] for name, values in self.labels.items()}
-        taken._set(self.radiance[:, :, :n], labels, self.valid[:, :, :n], self.dropped_samples)
-        return taken
+        return self.of(self.radiance[:, :, :n], labels, self.valid[:, :, :n], self.raster, self.dropped_samples)
+
+    @classmethod
+    def of(
+        cls,
+        radiance: FloatArray,
+        labels: Mapping[str, FloatArray],
+        valid: BoolArray,
+        raster: Raster,
+        dropped_samples: int = 0,
+    ) -> SampleBuffer:
+        """Return a buffer of arrays that were made of another buffer's, and are valid as those were."""
+        made = cls.__new__(cls)
+        made._set(radiance, labels, valid, dropped_samples, raster)
+        return made
 
     def __repr__(self) -> str:
         height, width = self.shape

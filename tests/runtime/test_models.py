@@ -3,6 +3,7 @@
 import numba
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from spreadlets.api import synthesize
 from spreadlets.errors import InvalidParameterError
@@ -166,14 +167,19 @@ def test_fog_keeps_the_texture_that_light_brings_through_it(fog):
     assert (merged[..., 1] - exact[..., 1]).std() < 0.1 * exact[..., 1].std()
 
 
-def test_a_still_psf_is_drawn_once_however_curved_the_path(lens):
-    straight = noise_frame(4.9, 5.1)
-    motion = np.broadcast_to(np.float32([9.0, 0.0]), (SIZE, SIZE, 2))
-    paths = {"motion": motion, "motion_prev": motion[..., ::-1], "motion_next": motion}
-    curved = Frame(straight.radiance[..., :3], straight.depth, **paths)
-    with pytest.warns(UserWarning, match="no axis 'motion': it is ignored on 100.0 %"):
-        image = quiet(curved, lens)
-    np.testing.assert_array_equal(image, quiet(straight, lens))
+def test_a_lens_with_colour_moves_along_straight_and_curved_paths(lens):
+    """A spot is drawn at places along its way: the mean of stills of the frame, each moved to where it is then."""
+    still = spot_frame(32, 32, 5.2)
+    motion = np.broadcast_to(np.float32([24.0, 8.0]), (SIZE, SIZE, 2))
+    one = quiet(still, lens)[..., :3]
+    moved = quiet(Frame(still.radiance, still.depth, motion), lens)[..., :3]
+    times = (np.arange(64) + 0.5) / 64 * CAMERA.shutter_duration + CAMERA.shutter[0]
+    truth = np.mean([ndimage.shift(one, (8 * t, 24 * t, 0), order=1) for t in times], axis=0)
+    assert np.abs(moved - truth).max() < 0.04 * truth.max()
+    paths = {"motion_prev": motion[..., ::-1], "motion_next": motion}
+    curved = quiet(Frame(still.radiance, still.depth, motion, **paths), lens)[..., :3]
+    assert np.abs(curved - moved).max() > 0.1 * moved.max(), "the path bends"
+    assert curved.sum() == pytest.approx(moved.sum(), rel=2e-3)
 
 
 def test_beyond_the_last_distance_the_last_cell_is_used(fog):

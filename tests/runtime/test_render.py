@@ -371,13 +371,16 @@ def test_an_unknown_method_is_named(small_combined):
         synthesize_any(spot_frame(3, 3, 1.0), CAMERA, small_combined, method="magic")
 
 
-def test_a_model_without_motion_says_that_it_ignores_it(tmp_path):
+def test_a_model_without_motion_draws_it_as_one_with_motion_does(tmp_path, small_combined):
     from spreadlets.precompute.build.build import build_database
     from spreadlets.psf.database import open_database
 
     build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0)
-    with open_database(tmp_path / "s.h5") as database, pytest.warns(UserWarning, match="no axis 'motion'.*100.0 %"):
-        synthesize(spot_frame(32, 32, 4.0, (5.0, 0.0)), CAMERA, database)
+    frame = spot_frame(32, 32, 4.0, (12.0, 4.0))
+    with open_database(tmp_path / "s.h5") as database:
+        stepped, _ = synthesize(frame, CAMERA, database)
+    swept, _ = synthesize(frame, CAMERA, small_combined)
+    assert np.abs(stepped - swept).max() < 0.06 * swept.max()
 
 
 @pytest.mark.parametrize("value", [1e4, 1e8])

@@ -1,3 +1,4 @@
+import os
 import shutil
 import subprocess
 import sys
@@ -93,6 +94,27 @@ def test_a_read_only_installation_without_a_home_works_and_warns_once():
     done = run(code, HOME=str(UNWRITABLE), XDG_CACHE_HOME=str(UNWRITABLE), PYTHONPATH=":".join(sys.path))
     assert done.returncode == 0 and '"n_cells"' in done.stdout
     assert done.stderr.count("warning:") == 1 and len(done.stderr.splitlines()) == 1
+
+
+AS_NOBODY = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+AS_NOBODY += [f"--{which}=-all,+dac_read_search" for which in ("inh-caps", "ambient-caps", "bounding-set")]
+"""Runs a command as a user who may read all, so that the interpreter starts, and write next to nothing."""
+
+
+@pytest.mark.skipif(not shutil.which("setpriv") or os.geteuid() != 0, reason="only the administrator can be another")
+def test_another_user_without_a_home_can_use_what_he_cannot_write_to():
+    code = (
+        "import os\nfrom spreadlets.compiled import kernel_folder\n"
+        "from spreadlets.psf._grid_kernels import triangular_root\n"
+        "print(triangular_root(7.0), os.getuid(), kernel_folder())\n"
+    )
+    environment = {"HOME": "/nonexistent", "PATH": os.environ["PATH"], "PYTHONPATH": ":".join(sys.path)}
+    command = [*AS_NOBODY, sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")
+    assert done.returncode == 0, done.stderr
+    root, user, folder = done.stdout.split()
+    assert (root, user) == ("3", "65534") and "spreadlets-" in folder and not os.path.exists(folder)
+    assert done.stderr.count("kernels are compiled again in each run") == 1
 
 
 def test_kernels_are_compiled_once_said_so_and_survive_copying(tmp_path):

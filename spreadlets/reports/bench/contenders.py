@@ -44,8 +44,8 @@ RECONSTRUCTION_KNOBS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 OPTIONAL_PACKAGES = {"bm3d": "bm3d", "oidn": "pyoidn"}
 """The packages behind methods that need one."""
-RECONSTRUCTION_PEERS = ("mean", "sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa", "bm3d", "oidn")
-SLOW_METHODS = ("dense", "dense-rows", "gather", "blender nodes")
+RECONSTRUCTION_PEERS = ("mean", "sheared", "axis-aligned", "lrdm", "lrdm-sheared", "lrdm-ewa", "tlfr", "bm3d", "oidn")
+SLOW_METHODS = ("dense", "dense-rows", "gather", "blender nodes", "tlfr")
 
 
 @dataclass(frozen=True)

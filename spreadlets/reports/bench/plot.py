@@ -26,7 +26,7 @@ COLOURS = {
     **{"dense": "#1d4ed8", "dense-rows": "#60a5fa", "gather": "#a16207", "blender nodes": "#be185d"},
     **{"sheared": "#047857", "axis-aligned": "#65a30d", "mean": "#6b7280", "bm3d": "#7c3aed", "oidn": "#0e7490"},
 }
-COLOURS |= {"lrdm": "#3730a3", "lrdm-sheared": "#86198f", "lrdm-ewa": "#db2777"}
+COLOURS |= {"lrdm": "#3730a3", "lrdm-sheared": "#86198f", "lrdm-ewa": "#db2777", "tlfr": "#b45309"}
 OTHERS = ("#991b1b", "#854d0e", "#166534", "#155e75")
 MARKERS = "s^Dv<>pX"
 

@@ -3,12 +3,18 @@ import pytest
 
 import spreadlets as sp
 from spreadlets.runtime.label._label_kernels import path_places
-from spreadlets.runtime.label.pixels import frame_pixels
+from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
 
 
 def place(before, after, time):
     found = np.empty((1, 1, 2), np.float32)
-    path_places(0, 1, *(np.array(each, np.float32).reshape(1, 1, 2) for each in (before, after)), time, found)
+    path_places(
+        0,
+        1,
+        *(np.array(each, np.float32).reshape(1, 1, 2) for each in (before, after)),
+        np.full((1, 1), time, np.float32),
+        found,
+    )
     return found[0, 0]
 
 
@@ -85,3 +91,24 @@ def test_a_still_frame_in_one_depth_has_no_list():
     frame = sp.Frame(np.full((16, 16, 3), 0.5), np.full((16, 16), 4.0))
     (only,) = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
     assert not only.is_list and not len(only.weight)
+
+
+def test_samples_on_a_curved_path_meet_where_the_path_is_at_mid_shutter():
+    """Seen at any time, through any place of the lens, one point of a turning disc is drawn at one place."""
+    rng = np.random.default_rng(2)
+    n = 64
+    time = rng.uniform(-0.5, 0.5, (1, n, 1)).astype(np.float32)
+    before, after = (np.broadcast_to(np.float32(each), (1, n, 1, 2)) for each in ((12.0, 5.0), (12.0, -5.0)))
+    now = np.zeros((1, n, 2), np.float32)
+    path_places(0, 1, before[:, :, 0].copy(), after[:, :, 0].copy(), time[..., 0], now)
+    samples = sp.SampleBuffer(
+        np.ones((1, n, 1, 3)), np.full((1, n, 1), 3.0), motion=np.broadcast_to(np.float32([12, 0]), (1, n, 1, 2)),
+        lens_uv=np.zeros((1, n, 1, 2)), time=time, offset=now[:, :, None], motion_prev=before, motion_next=after,
+    )  # fmt: skip
+    labels = sample_pixels(samples, CAMERA, defocus=True, motion=True)[0].labels
+    assert np.ptp(labels.shift, axis=1).max() < 1e-4
+    straight = sp.SampleBuffer(
+        np.ones((1, n, 1, 3)), np.full((1, n, 1), 3.0), motion=np.broadcast_to(np.float32([12, 0]), (1, n, 1, 2)),
+        lens_uv=np.zeros((1, n, 1, 2)), time=time, offset=now[:, :, None],
+    )  # fmt: skip
+    assert np.ptp(sample_pixels(straight, CAMERA, defocus=True, motion=True)[0].labels.shift, axis=1).max() > 0.2

@@ -18,7 +18,7 @@ from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
 from spreadlets.runtime.composite.layers import Moments, box_blur, layer_moments, passing_samples, share_beyond
 from spreadlets.runtime.label.labels import Labels, View
-from spreadlets.runtime.label.pixels import Pixels
+from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import layering
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.scene.camera import ThinLens

@@ -2,6 +2,8 @@
 
 import json
 import math
+import struct
+from fractions import Fraction
 
 import numpy as np
 import OpenEXR
@@ -118,7 +120,7 @@ HEADERS = {
         "unreal/camera/FinalImage/sensorWidth": "36.0",
         "unreal/camera/shutterAngle": "180.0",
     },
-    "vray": {"cameraFocalLength": 85.0, "cameraAperture": 36.0, "cameraFNumber": 2.0, "cameraFocusDistance": 3.0},
+    "vray": {"cameraFocalLength": 85.0, "cameraAperture": 36.0, "cameraFNumber": 2.0, "cameraTargetDistance": 3.0},
     "arnold": {
         "CameraFocalLength": 85.0,
         "CameraFilmApertureHorizontal": 36 / 25.4,
@@ -164,6 +166,32 @@ def test_an_exr_is_a_camera_file_and_a_frame_may_carry_its_camera(tmp_path):
     assert frame_camera(bare) == frame_camera(tmp_path / "absent.exr") == {}
     with pytest.raises(InvalidCameraError, match=r"bare\.exr: holds no camera attributes"):
         read_camera(bare)
+
+
+@pytest.mark.parametrize("rate", [{"framesPerSecond": Fraction(24, 1)}, {"captureRate": 24.0}])
+def test_the_time_of_exposure_and_the_frame_rate_make_the_shutter(tmp_path, rate):
+    path = write_exr(tmp_path / "f.exr", **HEADERS["vray"], expTime=1 / 96, **rate)
+    assert read_camera(path).shutter == pytest.approx((-0.125, 0.125))
+    angle = attribute_values({"expTime": 1 / 96, **rate, "shutterAngle": 90.0})
+    assert angle["shutter"] == (-0.125, 0.125)  # the angle of a camera that says both is exact
+    assert "shutter" not in attribute_values({"expTime": 1 / 96})
+
+
+@pytest.mark.parametrize(
+    ("timing", "shutter"), [("FrameOpen", (0.0, 0.5)), ("FrameCenter", (-0.25, 0.25)), ("FrameClose", (-0.5, 0.0))]
+)
+def test_the_shutters_timing_of_unreal(timing, shutter):
+    header = HEADERS["unreal"] | {"unreal/camera/shutterTiming": timing}
+    assert attribute_values(header)["shutter"] == shutter
+
+
+def test_a_rational_without_a_denominator_is_refused_in_one_line(tmp_path):
+    path = write_exr(tmp_path / "f.exr", framesPerSecond=Fraction(24, 1))
+    rational = b"framesPerSecond\0rational\0" + struct.pack("<i", 8)
+    content = path.read_bytes().replace(rational + struct.pack("<2i", 24, 1), rational + struct.pack("<2i", 24, 0))
+    path.write_bytes(content)
+    with pytest.raises(InvalidCameraError, match=r"not a readable OpenEXR file \(Fraction\(24, 0\)\)"):
+        read_camera(path)
 
 
 @pytest.mark.parametrize("value", ["", "x", 0.0, -1.0, math.nan])
@@ -233,3 +261,25 @@ def test_messages_spell_options_as_they_are_typed():
     with options_spelled(lambda name: "--" + name.replace("_", "-")):
         assert option("f_number") == "--f-number"
     assert option("f_number") == "f_number"
+
+
+def test_keys_of_a_json_camera_change_the_lens_over_time(tmp_path):
+    keys = [{"time": -0.5, "focus_distance_m": 2.0}, {"time": 0.5, "focus_distance_m": 4.0}]
+    camera = read_camera(write_json(tmp_path / "pull.json", keys=keys, readout_frames=0.25))
+    assert camera.at(0.25).focus_distance_m == pytest.approx(3.5) and camera.readout_frames == 0.25
+    assert camera.at(9.0).focus_distance_m == 4.0 and camera.at(0.0).f_number == camera.f_number
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({}, "must be a list of objects with time"),
+        ([{"focus_distance_m": 2.0}], "must be a list of objects with time"),
+        ([{"time": 0.0, "focus": 2.0}], "a key has focus; allowed are time, focal_length_mm"),
+        ([{"time": 0.0, "f_number": "2"}], "f_number of a key is '2'; it must be a number"),
+        ([{"time": 0.0, "f_number": 0.0}], "the key at 0 frames: f_number is 0"),
+    ],
+)
+def test_bad_keys_of_a_json_camera_are_refused(tmp_path, keys, said):
+    with pytest.raises(InvalidCameraError, match=said):
+        read_camera(write_json(tmp_path / "bad.json", keys=keys))

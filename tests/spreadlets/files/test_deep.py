@@ -9,9 +9,8 @@ from naive.deep import flatten, integrate
 from naive.deep import tidy as tidy_reference
 
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
-from spreadlets.files import deep
+from spreadlets.files import deep, exr_file
 from spreadlets.files import exr_frames as exr
-from spreadlets.files import exr_parts as exr_file
 from spreadlets.files.conventions import Scale, stored_depth
 from spreadlets.files.deep import DeepImage, layer_cuts, write_deep
 from spreadlets.files.exr_chunks import deep_sample_bytes, read_deep_part
@@ -19,6 +18,12 @@ from spreadlets.scene.camera import ThinLens
 
 SHAPE = (4, 6)
 CAMERA = ThinLens(40, 32, 2.0, 3.0)
+
+
+def of_open(function, path, *arguments):
+    """What a function makes of an open file."""
+    with open(path, "rb") as file:
+        return function(file, *arguments)
 
 
 def random_image(seed=0, *, volumes=True, motion=False, most=5, opaque=0.2):
@@ -378,7 +383,7 @@ def test_unpacking_is_the_librarys(tmp_path, compression, dtype):
     window = (np.array([2, 3], np.int32), np.array([10, 7], np.int32))
     OpenEXR.File({**header, "dataWindow": window, "displayWindow": window}, stored).write(str(tmp_path / "deep.exr"))
     expected = OpenEXR.File(str(tmp_path / "deep.exr"), separate_channels=True).parts[0].channels
-    found = read_deep_part(tmp_path / "deep.exr", 0)
+    found = of_open(read_deep_part, tmp_path / "deep.exr", 0)
     np.testing.assert_array_equal(found.counts, counts)
     for name, channel in expected.items():
         values = [pixel for pixel in channel.pixels.ravel() if pixel is not None]
@@ -399,7 +404,7 @@ def test_a_damaged_checksum_of_packed_samples_is_found(tmp_path, damage):
         struct.pack_into("<Q", content, size, struct.unpack_from("<Q", content, size)[0] - 4)
     path.write_bytes(content)
     with pytest.raises(InvalidFileError, match="truncated or corrupt"):
-        read_deep_part(path, 0)
+        of_open(read_deep_part, path, 0)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -424,7 +429,7 @@ def test_the_size_of_the_samples_is_known_before_they_are_read(tmp_path, monkeyp
     image = random_image(5, motion=True)
     write_deep(tmp_path / "deep.exr", image)
     n_bytes = 8 * 4 * int(image.counts.sum())
-    assert deep_sample_bytes(tmp_path / "deep.exr") == n_bytes
+    assert of_open(deep_sample_bytes, tmp_path / "deep.exr") == n_bytes
     limit = 8 * image.counts.size + n_bytes // 4
     monkeypatch.setattr(exr_file, "MAX_VALUES", limit - 1)
     with pytest.raises(InvalidFileError, match=f"holds {limit} values"):
@@ -442,7 +447,7 @@ def test_only_the_deep_part_of_a_file_of_several_parts_counts(tmp_path):
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": "flat"}, flat)]
     parts.append(OpenEXR.Part(header, {name: channel.pixels for name, channel in deep.items()}))
     OpenEXR.File(parts).write(str(tmp_path / "two.exr"))
-    assert deep_sample_bytes(tmp_path / "two.exr") == 5 * 24 * 4
+    assert of_open(deep_sample_bytes, tmp_path / "two.exr") == 5 * 24 * 4
     assert (exr.read_frame(tmp_path / "two.exr").layers[0].depth == 3).all()
 
 
@@ -477,7 +482,7 @@ def test_lies_about_the_number_of_chunks_are_refused(tmp_path, count):
     at = content.index(b"chunkCount\0int\0") + len(b"chunkCount\0int\0") + 4
     path.write_bytes(content[:at] + struct.pack("<i", count) + content[at + 4 :])
     with pytest.raises(InvalidFileError):
-        deep_sample_bytes(path)
+        of_open(deep_sample_bytes, path)
     with pytest.raises(InvalidFileError):
         exr.read_frame(path)
 

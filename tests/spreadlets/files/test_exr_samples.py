@@ -3,11 +3,16 @@
 import numpy as np
 import OpenEXR
 import pytest
+from click.testing import CliRunner
 
 import spreadlets as sp
+from spreadlets.cli.main import cli
 from spreadlets.errors import InvalidFileError, InvalidFrameError, InvalidParameterError
 from spreadlets.files import tlfr
+from spreadlets.files.exr_file import ExrFile
+from spreadlets.files.exr_parts import window
 from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.raster import Attribute, Raster, Window
 from spreadlets.scene.samples import SampleBuffer
 
 SHAPE = (3, 5, 4)
@@ -60,16 +65,24 @@ def sample_part(index, shape=(2, 3), without=(), **header):
     return OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": f"sample{index}", **header}, channels)
 
 
-def test_samples_outside_the_data_window_are_missing_and_offsets_are_optional(tmp_path):
+def test_samples_are_read_in_the_data_window_and_offsets_are_optional(tmp_path):
     display = (np.array([0, 0], np.int32), np.array([3, 2], np.int32))
     windows = {"displayWindow": display, "dataWindow": (np.array([1, 1], np.int32), np.array([3, 2], np.int32))}
     OpenEXR.File([sample_part(0, **windows), sample_part(1, **windows)]).write(str(tmp_path / "s.exr"))
     samples = sp.read_samples(tmp_path / "s.exr")
-    assert samples.shape == (3, 4) and samples.n_samples == 2 and not samples.offset.any()
-    expected = np.zeros((3, 4), bool)
-    expected[1:, 1:] = True
-    np.testing.assert_array_equal(samples.valid, np.stack([expected, expected], axis=2))
-    assert (samples.depth[1, 1] == (0.5, 1.5)).all()
+    assert samples.shape == (2, 3) and samples.n_samples == 2 and not samples.offset.any()
+    assert samples.valid.all() and (samples.depth[0, 0] == (0.5, 1.5)).all()
+    assert samples.raster == Raster(Window(1, 1, 3, 2), Window(0, 0, 4, 3), attributes=samples.raster.attributes)
+
+
+def test_samples_outside_their_parts_data_window_are_missing(tmp_path):
+    display = (np.array([0, 0], np.int32), np.array([3, 2], np.int32))
+    inner = {"displayWindow": display, "dataWindow": (np.array([1, 1], np.int32), np.array([3, 2], np.int32))}
+    moved = {"displayWindow": display, "dataWindow": (np.array([0, 1], np.int32), np.array([2, 2], np.int32))}
+    OpenEXR.File([sample_part(0, **inner), sample_part(1, **moved)]).write(str(tmp_path / "s.exr"))
+    samples = sp.read_samples(tmp_path / "s.exr")
+    assert samples.raster.data == Window(0, 1, 4, 2)
+    np.testing.assert_array_equal(samples.valid[0], [[False, True], [True, True], [True, True], [True, False]])
 
 
 def test_a_part_that_is_no_sample_is_named(tmp_path):
@@ -229,7 +242,7 @@ def test_bad_tlfr_samples_are_refused(tmp_path):
     with pytest.raises(InvalidFileError, match="cannot be the 32 numbers"):
         sp.read_samples(path)
     path.unlink()
-    with pytest.raises(InvalidFileError, match="cannot be read"):
+    with pytest.raises(InvalidFileError, match="no such file"):
         sp.read_samples(path)
     write_tlfr_files(path, ROWS, encoding="binary")
     path.write_bytes(path.read_bytes()[:-4])
@@ -257,3 +270,33 @@ def test_a_pixel_that_holds_nearly_everything_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(tlfr, "MAX_VALUES", 40 * 16)
     with pytest.raises(InvalidFileError, match="40 samples lie in one pixel"):
         sp.read_samples(path)
+
+
+def test_windows_pixel_aspect_and_attributes_of_samples_come_back(tmp_path):
+    raster = Raster(Window(-3, 2, 6, 4), Window(0, 0, 5, 8), 2.0, attributes={"owner": Attribute("string", b"me")})
+    lens_uv = np.zeros((4, 6, 2, 2))
+    given = sp.SampleBuffer(
+        np.ones((4, 6, 2, 3)), np.ones((4, 6, 2)), lens_uv, lens_uv, np.zeros((4, 6, 2)), raster=raster
+    )
+    sp.write_samples(tmp_path / "samples.exr", given)
+    found = sp.read_samples(tmp_path / "samples.exr").raster
+    assert (found.data, found.display, found.pixel_aspect) == (raster.data, raster.display, 2.0)
+    assert found.attributes["owner"] == raster.attributes["owner"]
+
+
+def test_reconstructed_images_have_the_windows_of_the_samples(tmp_path):
+    raster = Raster(Window(-3, 2, 6, 4), Window(0, 0, 5, 8), 2.0)
+    lens_uv = np.random.default_rng(0).uniform(-0.7, 0.7, (4, 6, 2, 2))
+    sp.write_samples(
+        tmp_path / "samples.exr",
+        sp.SampleBuffer(
+            np.ones((4, 6, 2, 3)), np.ones((4, 6, 2)), 0 * lens_uv, lens_uv, np.zeros((4, 6, 2)), raster=raster
+        ),
+    )
+    command = f"reconstruct {tmp_path}/samples.exr -o {tmp_path}/out.exr --method mean --focal-length 50 --focus 2"
+    done = CliRunner().invoke(cli, [*command.split(), "--sensor-width", "36", "--f-number", "2"])
+    assert done.exit_code == 0, done.output
+    with ExrFile(tmp_path / "out.exr") as file:
+        header = file.headers[0]
+    assert window(header["dataWindow"]) == raster.data and window(header["displayWindow"]) == raster.display
+    assert header["pixelAspectRatio"] == 2.0

@@ -379,7 +379,9 @@ def test_alpha_a_few_percent_out_of_range_is_clipped_with_a_count(tmp_path, over
 def test_a_named_renderer_does_not_silence_doubt_about_the_values(tmp_path):
     path = write(tmp_path / "f.exr", COLOUR | {"depth.Z": DEPTH})
     assert_scene(read(path)[0], motion=False)
-    assert "depth_convention" in read(path, preset="nuke")[1]
+    frame, told = read(path, preset="nuke")
+    assert_scene(frame, motion=False)
+    assert "depth_convention" in told
     assert "depth_convention planar" not in read(path, preset="nuke", depth_convention="planar")[1]
 
 

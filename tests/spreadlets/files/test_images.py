@@ -1,5 +1,7 @@
 """Written images: what the extension says, with the windows and attributes of the frame."""
 
+import zlib
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -8,6 +10,7 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
 from spreadlets.files.exr_chunks import read_attributes
+from spreadlets.files.png_tiff import in_steps
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.raster import Attribute, Raster, Window
 
@@ -29,7 +32,7 @@ def test_an_image_comes_back_as_it_was_written(path, channels):
 def test_half_images_are_rounded_and_clipped(path):
     image = np.full((*SHAPE, 3), 1.0001, np.float32)
     image[0, 0] = 1e6
-    images.write_image(path, image, half=True)
+    images.write_image(path, image, bit_depth=16)
     found = exr.read_image(path)
     assert (found[0, 0] == 65504).all() and (found[1, 1] == 1).all()
     assert OpenEXR.File(str(path), separate_channels=True).channels()["R"].pixels.dtype == np.float16
@@ -98,9 +101,43 @@ def test_pictures_show_the_display_window_dithered(tmp_path, extension):
     assert len(np.unique(found)) > 1 and found.mean() == pytest.approx(exact, abs=0.05) and abs(exact % 1 - 0.5) < 0.4
 
 
-def test_steps_of_8_bits_stay_what_they_are():
-    steps = np.tile(np.arange(256) / 255, (8, 1)).astype(np.float32)
-    np.testing.assert_array_equal(images.dithered(steps), np.tile(np.arange(256), (8, 1)))
+@pytest.mark.parametrize("bits", [8, 16])
+def test_whole_steps_stay_what_they_are(bits):
+    most = 2**bits - 1
+    steps = np.tile(np.arange(most + 1) / most, (4, 1)).astype(np.float32)
+    np.testing.assert_array_equal(in_steps(steps, bits), np.tile(np.arange(most + 1), (4, 1)))
+
+
+@pytest.mark.parametrize(("extension", "bits"), [(".png", 8), (".tif", 8), (".tif", 16), (".tiff", 16)])
+def test_pictures_of_8_and_16_bits_are_read_by_others(tmp_path, extension, bits):
+    from skimage.io import imread
+
+    image = np.random.default_rng(0).random((33, 47, 3)).astype(np.float32)
+    images.write_image(tmp_path / f"out{extension}", image, bit_depth=bits)
+    found = imread(tmp_path / f"out{extension}")
+    assert found.dtype == f"uint{bits}" and found.shape == image.shape
+    assert np.abs(found / (2**bits - 1) - display_encode(image)).max() < 1 / (2**bits - 1)
+
+
+def test_a_png_of_16_bits_is_one_to_others_and_holds_all_bits(tmp_path):
+    from skimage.io import imread
+
+    image = np.random.default_rng(0).random((33, 47, 3)).astype(np.float32)
+    images.write_image(tmp_path / "out.png", image, bit_depth=16)
+    content = (tmp_path / "out.png").read_bytes()
+    at = content.index(b"IDAT")
+    rows = np.frombuffer(zlib.decompressobj().decompress(content[at + 4 :]), np.uint8).reshape(33, 1 + 47 * 6)
+    found = np.cumsum(rows[:, 1:].reshape(33, 47, 6), axis=1, dtype=np.uint8).view(">u2").reshape(image.shape)
+    assert np.abs(found / 65535 - display_encode(image)).max() < 1 / 65535
+    shown = imread(tmp_path / "out.png")  # Pillow takes the upper bytes
+    np.testing.assert_array_equal(shown, found >> 8)
+
+
+def test_a_bit_depth_that_a_format_has_not_is_refused(tmp_path):
+    for name, bits, allowed in (("a.jpg", 16, "8"), ("a.png", 32, "8 or 16"), ("a.exr", 8, "16 or 32")):
+        with pytest.raises(InvalidParameterError, match=f"bit_depth is {bits}; this format has {allowed}"):
+            images.write_image(tmp_path / name, np.ones((*SHAPE, 3)), bit_depth=bits)
+    assert not list(tmp_path.iterdir())
 
 
 def test_windows_aspect_and_attributes_of_a_frame_come_back(path, tmp_path):
@@ -121,7 +158,8 @@ def test_windows_aspect_and_attributes_of_a_frame_come_back(path, tmp_path):
     OpenEXR.File({"type": OpenEXR.scanlineimage, **header}, channels).write(str(path))
     frame = exr.read_frame(path)
     images.write_image(tmp_path / "out.exr", frame.radiance, raster=frame.raster)
-    (before,), (after,) = read_attributes(path), read_attributes(tmp_path / "out.exr")
+    with open(path, "rb") as given, open(tmp_path / "out.exr", "rb") as written:
+        (before,), (after,) = read_attributes(given), read_attributes(written)
     own = {"channels", "compression", "type", "chunkCount"}
     assert {name: each for name, each in after.items() if name not in own} == {
         name: each for name, each in before.items() if name not in own

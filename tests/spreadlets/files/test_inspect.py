@@ -94,7 +94,7 @@ def test_layers_deep_images_and_samples_are_told_apart(tmp_path):
 
 
 def test_other_files_are_no_frames(tmp_path):
-    (tmp_path / "x").write_bytes(b"\x89HDF\r\n")
+    (tmp_path / "x").write_bytes(b"\x89HDF\r\n\x1a\n")
     assert not is_frame_file(tmp_path / "x") and not is_frame_file(tmp_path / "absent") and not is_frame_file(tmp_path)
     with pytest.raises(InvalidFileError, match="is an HDF5 file, such as a database"):
         frame_info(tmp_path / "x")

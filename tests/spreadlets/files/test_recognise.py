@@ -121,14 +121,17 @@ def test_what_looks_like_depth_is_named_where_none_is_recognised(path):
         sp.read_frame(write(path, colours() | {"my_dist.R": 3}))
 
 
-def test_inverse_depth_of_a_preset_is_doubted_if_it_lies_within_a_metre(path):
+def test_inverse_depth_of_a_preset_is_planar_where_it_would_lie_within_a_metre(path):
     write(path, colours() | {"depth.Z": 3})
-    with pytest.warns(AmbiguousInputWarning, match=r"taken for 1 over the depth: nearest 0\.333 m"):
-        sp.read_frame(path, preset="nuke")
+    with pytest.warns(AmbiguousInputWarning, match=r"\(nearest 0\.333 m\), and is taken for planar metres; say"):
+        assert sp.read_frame(path, preset="nuke").depth[0, 0] == 3
+    with pytest.warns(AmbiguousInputWarning, match="taken for planar metres"):
+        assert sp.read_frame(path, preset="nuke", depth_channel="depth.Z").depth[0, 0] == 3
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sp.read_frame(path, preset="nuke", depth_convention="inverse")
-        sp.read_frame(write(path, colours() | {"depth.Z": 0.1}), preset="nuke")
+        inverse = sp.read_frame(path, preset="nuke", depth_convention="inverse")
+        assert inverse.depth[0, 0] == pytest.approx(1 / 3)
+        assert sp.read_frame(write(path, colours() | {"depth.Z": 0.1}), preset="nuke").depth[0, 0] == pytest.approx(10)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,123 @@
+"""Sets of labelled pixels: all those of a frame, or lists of some of them.
+
+What few pixels of a frame need, such as a second surface, is a list: arrays of as many rows as it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import NOTHING, BoolArray, Image, IntArray
+from spreadlets.runtime.label.labels import Labels, Places
+from spreadlets.scene.frame import Layer
+
+LIST_WIDTH = 1024
+"""Pixels in a row of a list: rows are what threads divide."""
+
+_Number = TypeVar("_Number", bound=np.generic)
+
+
+class Pixels(NamedTuple):
+    """One label for each pixel of a frame, or of a list of its pixels.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+        Premultiplied colour, C-contiguous.
+    labels : Labels
+        With the places of the pixels, if they are a list.
+    weight : ndarray of shape (H, W) or (0, 0), float32
+        Share of the pixel that is drawn by this label; empty if it is the whole.
+    frame : ndarray of shape (frame's H, W, 4), float32, or None
+        The colours of the frame that the pixels of a list are from.
+    curved : ndarray of shape (H, W), bool, or None
+        The pixels of a frame whose weight is 0 because a list draws them along the chords of their paths.
+    """
+
+    radiance: Image
+    labels: Labels
+    weight: Image = NOTHING
+    frame: Image | None = None
+    curved: BoolArray | None = None
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the pixels are a list."""
+        return self.labels.view.places is not None
+
+
+def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixels]:
+    """Return some pixels as a list, with as many rows as it takes.
+
+    Parameters
+    ----------
+    layer : Layer
+        What the labels were made of.
+    pixels : Pixels
+        Of a frame or of a list, weighted.
+    chosen : ndarray of shape (n,), int64
+        Their numbers in raster order.
+
+    Returns
+    -------
+    layer : Layer
+    pixels : Pixels
+        The last row is filled up with the first pixel, of weight 0.
+    """
+    n_rows = -(-len(chosen) // LIST_WIDTH)
+    index = np.zeros((n_rows, LIST_WIDTH), np.int64)
+    index.ravel()[: len(chosen)] = chosen
+    labels, view = pixels.labels, pixels.labels.view
+    in_frame = np.stack(np.divmod(index, pixels.radiance.shape[1]), axis=-1).astype(np.int32)
+    at = in_frame if view.places is None else _taken(view.places.at, index)
+    weight = _taken(pixels.weight, index)
+    weight.ravel()[len(chosen) :] = 0.0
+    before, after, depth = layer.motion_prev, layer.motion_next, _taken(layer.depth, index)
+    nearer, farther = layer.depth_prev, layer.depth_next
+    part = replace(
+        layer,
+        radiance=_taken(pixels.radiance, index),
+        depth=depth,
+        motion=_taken(layer.motion, index),
+        motion_prev=None if before is None else _taken(before, index),
+        motion_next=None if after is None else _taken(after, index),
+        depth_prev=None if nearer is None else _taken(nearer, index),
+        depth_next=None if farther is None else _taken(farther, index),
+    )
+    labels = Labels(
+        _taken(labels.coc, index),
+        _taken(labels.path, index),
+        _taken(labels.length, index),
+        None if labels.shift is None else _taken(labels.shift, index),
+        view._replace(depth=depth, places=Places(at, view.frame_shape)),
+    )
+    return part, Pixels(part.radiance, labels, weight, pixels.frame)
+
+
+def _taken(values: npt.NDArray[_Number], index: IntArray) -> npt.NDArray[_Number]:
+    """Return the values (H, W, ...) of pixels, by their numbers in raster order."""
+    return values.reshape(-1, *values.shape[2:])[index]
+
+
+def joined(lists: Sequence[Pixels]) -> Pixels:
+    """Return several lists as one."""
+    labels = [each.labels for each in lists]
+    at = [each.view.places.at for each in labels if each.view.places is not None]
+    places = Places(np.concatenate(at), labels[0].view.frame_shape)
+    return Pixels(
+        np.concatenate([each.radiance for each in lists]),
+        Labels(
+            np.concatenate([each.coc for each in labels]),
+            np.concatenate([each.path for each in labels]),
+            np.concatenate([each.length for each in labels]),
+            np.concatenate([np.zeros_like(each.path) if each.shift is None else each.shift for each in labels]),
+            labels[0].view._replace(depth=np.concatenate([each.view.depth for each in labels]), places=places),
+        ),
+        np.concatenate([each.weight for each in lists]),
+        lists[0].frame,
+    )

@@ -1,0 +1,205 @@
+"""What changes while the shutter is open: pixels drawn at several times, each with its place, its blur and its share.
+
+A cell of a model with motion covers a straight path at constant blur: such a pixel is drawn once. What bends is drawn
+along chords; what changes its blur, since it moves in depth or the lens is pulled, is drawn in steps of time. PSFs that
+do not move are drawn at places along the path, close enough to make one streak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import FloatArray, Image
+from spreadlets.parallel import for_bands
+from spreadlets.runtime.controls import Controls
+from spreadlets.runtime.label import _label_kernels
+from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.label.lists import Pixels, listed
+from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.frame import Layer
+
+CHORD_TOLERANCE = 0.5
+"""Largest distance, px, of a curved path from the straight lines that it is drawn by."""
+MOST_CHORDS = 4
+"""Straight lines of a path at most; their distance falls with the square of their number."""
+MOST_STEPS = 128
+"""Steps of time at most."""
+COC_STEP_PX = 0.5
+COC_STEP_SHARE = 0.06
+"""Change of a CoC radius within a step: so many px, or so much of itself. Steps between are what cells are wide."""
+PLACE_STEP_SHARE = 0.1
+"""Distance, in CoC radii and at least a pixel, of the places at which a PSF that does not move is drawn on its way."""
+
+
+AS_IT_IS = Controls()
+"""The lens without any change."""
+
+
+class Effects(NamedTuple):
+    """What is drawn: the defocus, the motion; whether PSFs are swept along paths; how the lens is changed."""
+
+    defocus: bool
+    motion: bool
+    swept: bool
+    controls: Controls = AS_IT_IS
+
+
+def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> Iterator[Pixels]:
+    """Yield the pixels that are drawn once, and lists of the others at steps of the shutter's time.
+
+    Parameters
+    ----------
+    layer : Layer
+        What the labels were made of.
+    pixels : Pixels
+        Of a frame or of a list, with the labels of mid-shutter and straight paths.
+    camera : ThinLens
+    effects : Effects
+    """
+    if not effects.swept and pixels.labels.length.any():
+        # What is not swept has no path; it gets places instead.
+        still = np.zeros_like(pixels.labels.path)
+        pixels = pixels._replace(labels=pixels.labels._replace(path=still, length=np.zeros_like(pixels.labels.length)))
+    steps = _count_steps(layer, pixels, camera, effects)
+    largest = 1 if steps is None else int(steps.max())
+    if steps is None or largest == 1:
+        yield pixels
+        return
+    weight = pixels.weight if len(pixels.weight) else np.ones(steps.shape, np.float32)
+    moving = steps > 1
+    once = pixels._replace(weight=np.where(moving, np.float32(0.0), weight))
+    yield once if pixels.is_list else once._replace(curved=moving)
+    for count in (2**power for power in range(1, largest.bit_length())):
+        chosen = np.flatnonzero((steps == count) & (weight > 0))
+        if len(chosen):
+            part, some = listed(layer, pixels._replace(weight=weight), chosen)
+            for labels in _labels_in_time(part, some.labels, camera, effects, count):
+                yield some._replace(labels=labels, weight=some.weight / np.float32(count))
+
+
+def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> npt.NDArray[np.int32] | None:
+    """Return the number of steps of each pixel, a power of 2, or None if nothing asks for any."""
+    if not camera.shutter_duration:
+        return None
+    moves = effects.motion and layer.has_motion
+    bends = moves and layer.motion_prev is not None and layer.motion_next is not None
+    refocuses = effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
+    if not (bends or refocuses or (moves and not effects.swept)):
+        return None
+    count = np.ones(pixels.labels.coc.shape, np.int32)
+    if bends:
+        limits = camera.shutter_duration, CHORD_TOLERANCE, MOST_CHORDS
+        for_bands(_label_kernels.count_segments, len(count), layer.motion_prev, layer.motion_next, *limits, count)
+    radius = np.abs(pixels.labels.coc)
+    if refocuses:
+        count = np.maximum(count, _power_of_two(_coc_range(layer, camera, effects.controls) / _coc_step(radius)))
+    if moves and not effects.swept:
+        opens, closes = (_places(layer, time) for time in camera.shutter)
+        way = np.hypot(*np.moveaxis(closes - opens, 2, 0))
+        count = np.maximum(count, _power_of_two(way / np.maximum(PLACE_STEP_SHARE * radius, 1.0)))
+    return count
+
+
+def _coc_step(radius: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.float32(COC_STEP_SHARE) * radius, np.float32(COC_STEP_PX)), np.float32)
+
+
+def _coc_range(layer: Layer, camera: ThinLens, controls: Controls) -> FloatArray:
+    """Return by how much each pixel's CoC radius changes while the shutter is open, px."""
+    keyed = [key.time for key in camera.keys if camera.shutter[0] < key.time < camera.shutter[1]]
+    found = [_coc(layer, camera, controls, time) for time in (*camera.shutter, camera.shutter_centre, *keyed)]
+    return np.asarray(np.max(found, axis=0) - np.min(found, axis=0), np.float32)
+
+
+def _power_of_two(steps: FloatArray) -> npt.NDArray[np.int32]:
+    """Return the next power of 2, up to `MOST_STEPS`."""
+    power = np.ceil(np.log2(np.clip(steps, 1.0, MOST_STEPS)))
+    return np.exp2(power).astype(np.int32)
+
+
+def _labels_in_time(layer: Layer, labels: Labels, camera: ThinLens, effects: Effects, count: int) -> Iterator[Labels]:
+    """Yield the labels of each of some equal steps of the shutter's time."""
+    times = np.linspace(*camera.shutter, count + 1)
+    for opens, closes in zip(times[:-1], times[1:], strict=True):
+        middle = 0.5 * (opens + closes)
+        coc = _coc(layer, camera, effects.controls, middle) if effects.defocus else labels.coc
+        if not effects.motion:
+            yield labels._replace(coc=coc)
+            continue
+        if not effects.swept:
+            yield rolled(layer, labels._replace(coc=coc, shift=_places(layer, middle)), camera)
+            continue
+        begin, end = _places(layer, opens), _places(layer, closes)
+        path, length = end - begin, np.empty_like(labels.length)
+        for_bands(_label_kernels.path_lengths, len(length), path, length)
+        shift = np.float32(0.5) * (begin + end)
+        yield rolled(layer, labels._replace(coc=coc, path=path, length=length, shift=shift), camera)
+
+
+def _coc(layer: Layer, camera: ThinLens, controls: Controls, time: float) -> FloatArray:
+    """Return the signed CoC radii of pixels at a time, px."""
+    depth = layer.depth if layer.depth_prev is None else _depth(layer, time)
+    return coc_radii(depth, camera.at(time), controls, layer.raster.display.width)
+
+
+def coc_radii(depth: FloatArray, camera: ThinLens, controls: Controls, width: int) -> FloatArray:
+    """Return the signed CoC radii (H, W), px, of depths (H, W) in an image of a width, px."""
+    coc = np.empty_like(depth)
+    scale = camera.coc_scale(width)
+    for_bands(_label_kernels.coc_radii, len(coc), depth, scale, 1.0 / camera.focus_distance_m, coc)
+    return controls.coc(coc, depth, scale) if controls.change_coc else coc
+
+
+def _depth(layer: Layer, time: float) -> FloatArray:
+    """Return the depth at a time, by the parabola of 1/depth through the three that are known."""
+    before, now, after = (
+        1.0 / np.asarray(each, np.float64) for each in (layer.depth_prev, layer.depth, layer.depth_next)
+    )
+    inverse = now + 0.5 * time * (after - before) + time * time * (0.5 * (after + before) - now)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 0.0), np.inf), np.float32)
+
+
+def _places(layer: Layer, time: float) -> Image:
+    """Return where pixels are at a time, px (dx, dy) from where they are at the label's time."""
+    if layer.motion_prev is None or layer.motion_next is None:
+        return layer.motion * np.float32(time)
+    return curved_places(layer.motion_prev, layer.motion_next, np.full(layer.shape, time, np.float32))
+
+
+def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
+    """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
+    place = np.empty_like(before)
+    for_bands(_label_kernels.path_places, len(place), before, after, time, place)
+    return place
+
+
+def zoomed(layer: Layer, camera: ThinLens) -> Layer:
+    """Return a layer with the motion of a zoom.
+
+    Where a frame has motion, that of the zoom is taken to be in it, as renderers' vectors hold it.
+    """
+    opens, closes = (camera.value_at("focal_length_mm", time) for time in camera.shutter)
+    if opens == closes or layer.motion.any():
+        return layer
+    growth = (closes - opens) / (camera.value_at("focal_length_mm", 0.0) * camera.shutter_duration)
+    place = View(layer.depth, 1.0, 1.0, layer.raster.off_middle).position()
+    return replace(layer, motion=np.float32(growth) * place, has_motion=True)
+
+
+def rolled(layer: Layer, labels: Labels, camera: ThinLens) -> Labels:
+    """Return labels whose pixels lie where they are when their row is read out (rolling shutter)."""
+    height = labels.view.frame_shape[0]
+    if not camera.readout_frames or height < 2 or not layer.has_motion:
+        return labels
+    rows = np.arange(labels.coc.shape[0], dtype=np.float32)[:, None]
+    if labels.view.places is not None:
+        rows = labels.view.places.at[..., 0].astype(np.float32)
+    later = np.float32(camera.readout_frames) * (rows / np.float32(height - 1) - np.float32(0.5))
+    moved = layer.motion * later[..., None]
+    return labels._replace(shift=moved if labels.shift is None else labels.shift + moved)

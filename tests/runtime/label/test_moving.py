@@ -1,0 +1,93 @@
+"""What changes while the shutter is open, against the mean of many moments."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import spreadlets as sp
+from spreadlets.runtime.label.pixels import frame_pixels
+
+SIZE, N_TIMES = 72, 48
+SHUTTER = (-0.25, 0.25)
+TIMES = (np.arange(N_TIMES) + 0.5) / N_TIMES * 0.5 - 0.25
+RNG = np.random.default_rng(5)
+PICTURE = np.clip(4.0 * ndimage.gaussian_filter(RNG.random((SIZE, SIZE, 3)), (1.5, 1.5, 0)) - 1.5, 0.02, 1.0)
+PICTURE[20, 30] = PICTURE[50, 44] = 30.0
+
+
+def lens(*keys, **settings):
+    return sp.ThinLens(85, 36, 0.35, 3.0, shutter=SHUTTER, keys=tuple(keys), **settings)
+
+
+def plane(depth=5.0, **labels):
+    return sp.Frame(PICTURE, np.full((SIZE, SIZE), depth, np.float32), **labels)
+
+
+def disc(radius):
+    half = int(np.ceil(radius)) + 1
+    fine = (np.arange((2 * half + 1) * 16) + 0.5) / 16 - half - 0.5
+    inside = (np.hypot(*np.meshgrid(fine, fine)) <= radius).reshape(2 * half + 1, 16, 2 * half + 1, 16).mean((1, 3))
+    return inside / inside.sum()
+
+
+def blurred(camera, depth):
+    radius = abs(float(camera.coc_radius(depth, SIZE)))
+    return ndimage.convolve(PICTURE, disc(max(radius, 0.05))[..., None], mode="nearest")
+
+
+def inner_ssim(image, truth):
+    inner = slice(8, -8)
+    return sp.metrics.compare(image[inner, inner, :3], truth[inner, inner].astype(np.float32))["ssim"]
+
+
+def test_a_pull_of_focus_is_the_mean_of_its_moments():
+    camera = lens(sp.LensKey(-0.25, focus_distance_m=2.0), sp.LensKey(0.25, focus_distance_m=6.0))
+    truth = np.mean([blurred(camera.at(t), 5.0) for t in TIMES], axis=0)
+    assert inner_ssim(sp.synthesize(plane(), camera), truth) > 0.995
+    assert inner_ssim(sp.synthesize(plane(), camera.at(0.0)), truth) < 0.99
+
+
+def test_what_comes_nearer_is_the_mean_of_its_moments():
+    frame = plane(3.0, depth_prev=np.full((SIZE, SIZE), 9.0), depth_next=np.full((SIZE, SIZE), 1.8))
+    inverse = [1 / 3 + 2 / 9 * t for t in TIMES]
+    truth = np.mean([blurred(lens(), 1 / each) for each in inverse], axis=0)
+    assert inner_ssim(sp.synthesize(frame, lens()), truth) > 0.995
+    assert inner_ssim(sp.synthesize(plane(3.0), lens()), truth) < 0.99
+
+
+def test_an_iris_that_closes_changes_the_blur_alone():
+    camera = lens(sp.LensKey(-0.25, f_number=0.3), sp.LensKey(0.25, f_number=2.0))
+    truth = np.mean([blurred(camera.at(t), 9.0) for t in TIMES], axis=0)
+    assert inner_ssim(sp.synthesize(plane(9.0), camera), truth) > 0.995
+
+
+def test_a_zoom_moves_pixels_away_from_the_middle_unless_the_frame_has_motion():
+    camera = lens(sp.LensKey(-0.25, focal_length_mm=80), sp.LensKey(0.25, focal_length_mm=90))
+    labels = frame_pixels(plane(3.0).layers[0], camera, defocus=True, motion=True)[0].labels
+    growth = 10.0 / 85.0
+    assert labels.path[0, 0] == pytest.approx([-growth * 35.5, -growth * 35.5], rel=1e-4)
+    assert np.abs(labels.path[35:37, 35:37]).max() < growth
+    moving = plane(3.0, motion=np.full((SIZE, SIZE, 2), 4.0))
+    labels = frame_pixels(moving.layers[0], camera, defocus=True, motion=True)[0].labels
+    assert np.all(labels.path == 2.0)
+
+
+def test_a_rolling_shutter_shears_what_moves():
+    frame = plane(3.0, motion=np.broadcast_to(np.float32([8.0, 0.0]), (SIZE, SIZE, 2)))
+    labels = frame_pixels(frame.layers[0], lens(readout_frames=0.5), defocus=True, motion=True)[0].labels
+    assert labels.shift[0, 5] == pytest.approx([-2.0, 0.0]) and labels.shift[-1, 5] == pytest.approx([2.0, 0.0])
+
+
+def test_a_frame_that_does_not_change_is_drawn_at_one_moment():
+    keys = sp.LensKey(-0.25, focus_distance_m=3.0), sp.LensKey(0.25, focus_distance_m=3.0)
+    motion = np.full((SIZE, SIZE, 2), 6.0)
+    pixels = frame_pixels(plane(5.0, motion=motion).layers[0], lens(*keys), defocus=True, motion=True)
+    assert len(pixels) == 1 and pixels[0].curved is None
+
+
+def test_depths_of_other_frames_come_together_and_are_distances():
+    ones = np.ones((SIZE, SIZE))
+    with pytest.raises(sp.errors.InvalidFrameError, match="depth_next is missing"):
+        plane(depth_prev=ones)
+    with pytest.raises(sp.errors.InvalidFrameError, match="depth_prev is not a distance"):
+        plane(depth_prev=-ones, depth_next=ones)
