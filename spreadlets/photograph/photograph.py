@@ -30,8 +30,6 @@ FOCAL_LENGTH_MM, SENSOR_MM = 50.0, 36.0
 """Of the lens that stands for any other: what counts is how the blur grows with inverse depth."""
 FARTHEST = 0.05
 """Inverse depth, 1/m, that the farthest pixel is given where the scale is unknown; the nearest has 1."""
-LEAST_REACH = 0.1
-"""Share of the range of inverse depths behind the focus, at least, over which the blur grows to its full radius."""
 
 
 def photo(
@@ -61,7 +59,7 @@ def photo(
     focus : sequence of two or four floats
         A point ``(x, y)``, or a box ``(left, top, right, bottom)`` with whatever is to be sharp, px of the photograph.
     blur : float, optional
-        Radius of the blur at the far end, px; 25 by default.
+        Radius of the blur at the far end, px, or at the near end if that is farther from the focus; 25 by default.
     f_number : float, optional
         Instead of `blur`, for depths in metres: that of a full-frame camera.
     focal_length : float, optional
@@ -134,7 +132,7 @@ def photo(
 
 
 def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
-    """Return a camera that blurs the farthest of some inverse depths (H, W), 1/m, with a radius in px.
+    """Return a camera that blurs the end of some inverse depths (H, W), 1/m, that is farther from focus, by a radius.
 
     Raises
     ------
@@ -143,8 +141,7 @@ def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
     """
     if not 0.0 < blur < np.inf:
         raise InvalidParameterError(f"{option('blur')} is {blur:g}: needed is a radius above 0 px")
-    reach = max(focus - float(inverse.min()), LEAST_REACH * float(inverse.max() - inverse.min()))
-    scale = blur / reach
+    scale = blur / max(focus - float(inverse.min()), float(inverse.max()) - focus)
     focal_length_px = FOCAL_LENGTH_MM / SENSOR_MM * inverse.shape[1]
     return ThinLens(FOCAL_LENGTH_MM, SENSOR_MM, 0.5 * FOCAL_LENGTH_MM / 1000.0 * focal_length_px / scale, 1.0 / focus)
 

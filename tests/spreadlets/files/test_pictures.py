@@ -1,7 +1,5 @@
 """Photographs and planes from files."""
 
-import io
-
 import numpy as np
 import pytest
 from PIL import Image, ImageCms
@@ -14,9 +12,9 @@ from spreadlets.scene.display import display_decode, display_encode
 CODES = np.random.default_rng(1).integers(0, 256, (6, 9, 3), np.uint8)
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("a.png", 0), ("a.tif", 0), ("a.webp", 0), ("a.jpg", 60)])
+@pytest.mark.parametrize(("name", "tolerance"), [("a.png", 0), ("a.tif", 0), ("a.webp", 0), ("a.jpg", 4)])
 def test_pictures_are_read_as_linear_light(tmp_path, name, tolerance):
-    Image.fromarray(CODES).save(tmp_path / name, lossless=True, quality=100)
+    Image.fromarray(CODES).save(tmp_path / name, lossless=True, quality=100, subsampling=0)
     radiance = read_picture(tmp_path / name).radiance
     assert np.abs(np.rint(255 * display_encode(radiance)) - CODES).max() <= tolerance
 
@@ -38,11 +36,8 @@ def test_exif_turns_the_picture_and_tells_the_lens(tmp_path):
 
 def test_a_colour_profile_is_followed(tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB"))
-    file = io.BytesIO()
-    Image.fromarray(CODES).save(
-        file, "PNG", icc_profile=ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    )
-    (tmp_path / "a.png").write_bytes(file.getvalue())
+    usual = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
+    Image.fromarray(CODES).save(tmp_path / "a.png", icc_profile=usual.tobytes())
     same = np.rint(255 * display_encode(read_picture(tmp_path / "a.png").radiance))
     assert np.abs(same - CODES).max() <= 1
     Image.fromarray(CODES).save(tmp_path / "b.png", icc_profile=profile.tobytes())
