@@ -298,7 +298,9 @@ class Renderer:
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
         if options.focus_at is None:
             return camera
-        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at))
+        still = [replace(key, focus_distance_m=None) for key in camera.keys]
+        keys = tuple(key for key in still if (key.focal_length_mm, key.f_number) != (None, None))
+        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at), keys=keys)
 
     def _open(self, moving: bool) -> Database:
         """Return the database, opened if it is not."""

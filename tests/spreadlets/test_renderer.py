@@ -189,3 +189,10 @@ def test_samples_take_no_controls():
     )
     with pytest.raises(InvalidParameterError, match="near_strength is for frames"):
         sp.reconstruct(samples, CAMERA, near_strength=0.5)
+
+
+def test_focus_at_a_point_overrides_a_pull_of_the_focus(renderer):
+    pull = replace(CAMERA, keys=(sp.LensKey(0.0, focus_distance_m=3.0), sp.LensKey(1.0, f_number=2.0)))
+    held = renderer.camera(pull, focus_at=(0, 0))
+    assert held.at(0.0).focus_distance_m == held.at(1.0).focus_distance_m == FAR
+    assert held.at(1.0).f_number == 2.0

@@ -25,8 +25,10 @@ def test_means_are_those_of_the_area_that_a_pixel_covers():
 def test_a_smaller_frame_has_the_same_depths_and_motion_in_its_own_pixels():
     depth = np.where(np.arange(60) < 30, 2.0, 5.0) * np.ones((40, 1))
     motion = np.broadcast_to(np.array([4.0, -2.0]), (40, 60, 2))
-    frame = sp.Frame(np.ones((40, 60, 3)), depth, motion_prev=motion, motion_next=2 * motion)
-    (layer,) = smaller(frame, 0.5).layers
+    paths = {"motion_prev": motion, "motion_next": 2 * motion, "depth_prev": depth, "depth_next": depth + 1}
+    (layer,) = smaller(sp.Frame(np.ones((40, 60, 3)), depth, **paths), 0.5).layers
+    np.testing.assert_array_equal(layer.depth_prev, layer.depth)
+    np.testing.assert_array_equal(layer.depth_next, layer.depth + 1)
     assert layer.shape == (20, 30) and set(np.unique(layer.depth)) == {2.0, 5.0}
     np.testing.assert_allclose(layer.motion_prev[3, 4], [2.0, -1.0])
     np.testing.assert_allclose(layer.motion_next[3, 4], [4.0, -2.0])
