@@ -53,6 +53,13 @@ def ask(page, number, dragging=False, judging=False, **settings):
     page.send(json.dumps(message))
 
 
+def wait_until(condition):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
 def full(page, number):
     return receive(page, "picture", lambda message: message["full"] and message["number"] == number)
 
@@ -255,16 +262,16 @@ def test_an_image_may_be_the_psf_once_it_was_sent(server):
 
 
 def test_closing_the_page_leaves_no_thread_even_amid_a_rendering(server):
-    before = threading.active_count()
+    def threads():
+        """All but the pool of kernels, which serves all and is begun by the first rendering."""
+        return {each for each in threading.enumerate() if not each.name.startswith("spreadlets_")}
+
+    before = threads()
     for number in range(3):
         with live(server) as page:
             ask(page, number, f_number=1.0 + number)
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline and any(each.name == "spreadlets-view" for each in threading.enumerate()):
-        time.sleep(0.02)
-    # The pool of kernels, begun by the first rendering, serves all.
-    assert not [each for each in threading.enumerate() if each.name == "spreadlets-view"]
-    assert threading.active_count() <= before + 1
+            wait_until(lambda: any(each.name == "spreadlets-view" for each in threads()))
+    wait_until(lambda: threads() <= before)
 
 
 def test_a_port_that_is_taken_is_an_error(server, studio):
