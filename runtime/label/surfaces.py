@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from threading import Lock
 from typing import Any
@@ -101,8 +101,10 @@ class KeptSurfaces:
         self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
         self._lock = Lock()
 
-    def __call__(self, layer: Layer, camera: ThinLens) -> Sequence[Surface]:
-        """Return the surfaces of a layer, see `split_surfaces`."""
+    def __call__(self, layer: Layer, camera: ThinLens) -> Iterable[Surface]:
+        """Return the surfaces of a layer, see `split_surfaces`; those of a very large one are not kept."""
+        if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
+            return split_surfaces(layer, camera)
         key = id(layer), _scale(layer, camera)
         with self._lock:
             if key in self._kept:

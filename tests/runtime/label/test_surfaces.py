@@ -1,8 +1,11 @@
 """Mixed pixels, drawn with many samples each, against the shares and colours that they were drawn with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from spreadlets.runtime.label import surfaces
 from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -120,3 +123,12 @@ def test_a_bright_lamp_keeps_its_light_to_itself():
     lamp = Frame(truth[..., None] * 450.0 + (1 - truth[..., None]) * BLUE * 0.05, layer.depth).layers[0]
     far = sum((s * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, s in split_surfaces(lamp, CAMERA))
     assert far.max() < 0.2, "the plane behind has .03 and less of its own"
+
+
+def test_surfaces_are_kept_for_the_next_camera_unless_there_are_too_many(monkeypatch):
+    layer = Frame(np.ones((8, 8, 3)), np.where(np.arange(8) < 4, 2.0, 4.0) * np.ones((8, 1))).layers[0]
+    kept = surfaces.KeptSurfaces()
+    assert kept(layer, CAMERA) is kept(layer, replace(CAMERA, focus_distance_m=3.0))
+    assert kept(layer, CAMERA) is not kept(layer, replace(CAMERA, f_number=2 * CAMERA.f_number))
+    monkeypatch.setattr(surfaces, "MOST_KEPT_PIXELS", 64)
+    assert kept(layer, CAMERA) is not kept(layer, CAMERA)
