@@ -134,6 +134,12 @@ def test_a_proxy_is_the_picture_made_smaller(renderer, share):
     assert renderer.raster(proxy=share).data.shape == proxy.shape[:2]
 
 
+def test_the_largest_coc_is_in_pixels_of_the_whole_frame_for_a_proxy_too(renderer):
+    bounded = renderer.render(CAMERA, max_coc=1.5, proxy=0.5)
+    as_strength = renderer.render(CAMERA, far_strength=1.5 / float(renderer.coc(CAMERA)[0, 0]), proxy=0.5)
+    np.testing.assert_allclose(bounded, as_strength, atol=1e-3)
+
+
 def test_a_mask_stays_sharp_and_gives_no_light_away(frame, renderer):
     bright = texture()
     bright[square()] = 50.0
