@@ -1,9 +1,11 @@
 """Mixed pixels, drawn with many samples each, against the shares and colours that they were drawn with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces
+from spreadlets.runtime.label.surfaces import SharedSurfaces, depth_is_filtered, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -120,3 +122,20 @@ def test_a_bright_lamp_keeps_its_light_to_itself():
     lamp = Frame(truth[..., None] * 450.0 + (1 - truth[..., None]) * BLUE * 0.05, layer.depth).layers[0]
     far = sum((s * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, s in split_surfaces(lamp, CAMERA))
     assert far.max() < 0.2, "the plane behind has .03 and less of its own"
+
+
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_other_colours_are_divided_among_the_same_surfaces_in_the_same_shares(shape):
+    layer, truth = drawn(shape)
+    near, far = np.float32([0.0, 2.0, 0.5]), np.float32([0.7, 0.1, 0.0])
+    colours = truth[..., None] * near + (1 - truth[..., None]) * far
+    other = replace(layer, radiance=np.dstack([colours, layer.radiance[..., 3]]).astype(np.float32))
+    split = SharedSurfaces(split_surfaces)
+    surfaces, divided = split(layer, CAMERA), split(other, CAMERA)
+    for (surface, share), (own, own_share) in zip(surfaces, divided, strict=True):
+        assert own_share is share and own.depth is surface.depth and own.motion is surface.motion
+    total = sum(own.radiance * share[..., None] for own, share in divided)
+    np.testing.assert_allclose(total, other.radiance, atol=1e-5)
+    for own, share in divided:
+        seen = inner((own.depth < 3.0) & (share > 0.3) & (share < 1.0))
+        assert np.abs(inner(own.radiance)[seen][:, :3] - near).max(initial=0.0) < 0.35
