@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.label.pixels import Split, frame_pixels, sample_pixels
-from spreadlets.runtime.label.surfaces import split_surfaces
+from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
+from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces
 from spreadlets.runtime.options import DEFAULT_LAYERS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
@@ -85,36 +86,90 @@ def synthesize(
     filled from what was seen of it. A frame that comes in layers is taken as it is, unless a number of depth layers is
     asked for: then the pixels of all its layers are distributed anew.
     """
+    images, report = synthesize_all([frame], camera, database, options, clock, dense_psf, exact_psf, split)
+    return images[0], report
+
+
+def synthesize_all(
+    frames: Sequence[Frame],
+    camera: ThinLens,
+    database: Database,
+    options: Options | None = None,
+    clock: Clock | None = None,
+    dense_psf: DensePsf | None = None,
+    exact_psf: ExactPsf | None = None,
+    split: Split = split_surfaces,
+) -> tuple[list[Image], Report]:
+    """Blur frames that differ in their colours only, all by the plan of the first.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        At least one. The colours of the first say which surfaces a pixel shows, and which pixels are highlights.
+    camera, database, options, clock, dense_psf, exact_psf, split
+        As for `synthesize`.
+
+    Returns
+    -------
+    images : list of ndarray of shape (H, W, 4), float32
+        Premultiplied, linear.
+    report : Report
+        With the figures of the first frame.
+    """
     options, clock = options or Options(), clock or Clock()
-    raster, frame = frame.raster, squared(frame)
+    raster, frames = frames[0].raster, [squared(frame) for frame in frames]
+    frame, tally = frames[0], Tally()
     _warn_about_view(database, camera, frame.raster.display.width)
-    label = partial(
-        frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options, split=split
-    )
-    tally = Tally()
+    # Clamp fireflies, and divide mixed pixels as those of the first frame.
     with clock.step("plan"):
-        shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
+        clamped = [_clamped_frame(each.layers, options.firefly_clamp) for each in frames]
+        shown, tally.clamped = [layers for layers, _ in clamped], clamped[0][1]
+    label = partial(frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options)
     if options.method == "gather":
-        image = _filtered(shown, camera, database, options, clock, tally, dense_psf, label)
-        return _finished(image, frame.raster, raster, camera, database, options), Report.of(
-            clock, plan_figures(tally, database)
-        )
-    image = np.zeros((*frame.shape, 4), np.float32)
-    with clock.step("plan"):
-        given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
-    is_whole = len(given) > 1
-    if is_whole and options.layers is not None:
-        given = [[pixels for group in given for pixels in group]]
-    n_layers = options.layers or (1 if is_whole else MOST_LAYERS)
-    for number, group in enumerate(given):
+        own = partial(label, split=split)
+        images = [_filtered(each, camera, database, options, clock, tally, dense_psf, own) for each in shown]
+    else:
+        shared = [SharedSurfaces(split) for _ in shown[0]]
+        swept = database.grid.model.has_motion
         with clock.step("plan"):
-            plan = plan_pixels(group, database, options, n_layers, dense_psf=dense_psf, exact_psf=exact_psf)
+            given = [
+                [label(layer, split=each, swept=swept) for layer, each in zip(layers, shared, strict=True)]
+                for layers in shown
+            ]
+        psfs = {"dense_psf": dense_psf, "exact_psf": exact_psf}
+        closed = is_opaque(frame.layers[-1].radiance)
+        images = _drawn(given, frame.shape, database, options, clock, tally, closed=closed, **psfs)
+    images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
+    return images, Report.of(clock, plan_figures(tally, database))
+
+
+def _drawn(
+    given: Sequence[Sequence[list[Pixels]]],
+    shape: tuple[int, int],
+    database: Database,
+    options: Options,
+    clock: Clock,
+    tally: Tally,
+    *,
+    closed: bool,
+    **psfs: Any,
+) -> list[Image]:
+    """Draw the labelled pixels of the layers of frames by the plan of the first; `closed` if its last is opaque."""
+    images = [np.zeros((*shape, 4), np.float32) for _ in given]
+    is_whole = len(given[0]) > 1
+    if is_whole and options.layers is not None:
+        given = [[[pixels for group in groups for pixels in group]] for groups in given]
+    n_layers = options.layers or (1 if is_whole else MOST_LAYERS)
+    for number, (group, *others) in enumerate(zip(*given, strict=True)):
+        with clock.step("plan"):
+            plan = plan_pixels(group, database, options, n_layers, **psfs)
+            plans = [plan, *(plan.coloured(each) for each in others)]
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
-            closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
+            last = closed and number == len(given[0]) - 1
             visibility = ShareBeyond(group, plan) if plan.n_layers > 1 and not is_whole else None
-        _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
-    image = _finished(image, frame.raster, raster, camera, database, options)
-    return image, Report.of(clock, plan_figures(tally, database))
+        for image, each in zip(images, plans, strict=True):
+            _add_plan(image, each, visibility, _solver(options), clock, tally if each is plan else Tally(), closed=last)
+    return images
 
 
 def reconstruct(

@@ -205,15 +205,15 @@ def _synthesise(job: _Job) -> dict[str, Any]:
     if rendering.get("mask"):
         rendering["mask"] = read_plane(rendering["mask"])
     with progress_bar("building", quiet=False) as progress, Renderer(frame, chosen, progress=progress) as renderer:
-        image, report = renderer.render(camera, **rendering, report=True, clock=clock)
+        frames = [element for _, element in elements]
+        (image, *blurred), report = renderer.render_all(frames, camera, clock, **rendering)
         raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
     if frame.repaired_pixels or frame.dropped_pixels:
         text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
         warnings.warn(text, stacklevel=1)
     figures = _compared(*_alike(image, truth, raster, rendering))
-    for name, element in elements:
-        with Renderer(element, chosen) as renderer:
-            further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
+    for (name, _), element in zip(elements, blurred, strict=True):
+        further |= named_channels(name, element)
     with clock.step("write"):
         images.write_image(job.output, image, bit_depth=job.bit_depth, raster=raster, channels=further)
         if job.output_coc is not None and coc is not None:

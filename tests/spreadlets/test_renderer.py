@@ -58,6 +58,29 @@ def test_what_is_kept_is_not_computed_again(frame, monkeypatch):
     assert len(calls) == 1
 
 
+def test_elements_are_drawn_by_the_plan_of_the_picture(frame, renderer, monkeypatch):
+    from spreadlets.runtime import render
+    from spreadlets.runtime.label import surfaces
+
+    rows, columns = np.mgrid[: frame.shape[0], : frame.shape[1]]
+    part = np.ones((*frame.shape, 4), np.float32)
+    part[..., :3] = (0.5 + 0.4 * np.sin(rows / 9) * np.sin(columns / 7))[..., None]
+    rest = np.float32([1, 1, 1, 2]) - part
+    alone = renderer.render(CAMERA, tolerance=0.0)
+    calls = []
+    plan_pixels = render.plan_pixels
+    monkeypatch.setattr(render, "plan_pixels", lambda *given, **more: calls.append(1) or plan_pixels(*given, **more))
+    monkeypatch.setattr(surfaces, "split_surfaces", lambda *given: calls.append(2) or [])
+    elements = [frame.coloured(frame.radiance * share) for share in (part, rest)]
+    (image, first, second), report = renderer.render_all(elements, CAMERA, tolerance=0.0)
+    assert calls == [1]  # what the picture shows where is kept
+    np.testing.assert_array_equal(image, alone)
+    np.testing.assert_array_equal(first[..., 3], image[..., 3])
+    error = np.abs(first + second - image)[..., :3]
+    assert error.mean() < 2.5e-3 * image[..., :3].mean() and error.max() < 0.09  # at the pixels of two surfaces
+    assert report.plan.pixels_sparse + report.plan.pixels_dense <= 2 * frame.depth.size
+
+
 def test_several_threads_may_ask_at_once(renderer):
     cameras = [replace(CAMERA, focus_distance_m=focus) for focus in (2.0, 3.0, 5.0, 8.0)]
     alone = [renderer.render(camera) for camera in cameras]
