@@ -1,7 +1,8 @@
 """Deep images as depth layers: cut where surfaces part, by rank, and the layers as they were rendered.
 
 The rendered depth layers of coins and fence (``--frames``, default frames, or else the small ones that ship) are stored
-as one deep image each and read again. SSIM is against the renderer's own depth of field and motion blur. Writes deep_layers.txt to benchmarks/results.
+as one deep image each and read again. SSIM is against the renderer's own depth of field and motion blur. Writes
+deep_layers.txt to benchmarks/results.
 
     python benchmarks/deep_layers.py [--frames DIR] [--db combined]
 """

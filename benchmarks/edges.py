@@ -220,7 +220,8 @@ def frame_line(pinhole: Path, camera: Path, reference: Path, database: sp.Databa
     figures = f"SSIM {found['ssim']:.4f}  FLIP {found['flip']:.4f}  PSNR {found['psnr']:.2f}"
     return (
         f"{reference.stem:<20} {figures}  off by more than {OFF}: {100 * off.mean():.2f} %  "
-        f"worst tile {tiles[0]:.0f} %, beyond 5 %: {tiles[1]:.2f}  layers {report['plan']['layers']}  {report['time_s']['total']:.2f} s"
+        f"worst tile {tiles[0]:.0f} %, beyond 5 %: {tiles[1]:.2f}  "
+        f"layers {report['plan']['layers']}  {report['time_s']['total']:.2f} s"
     )
 
 
