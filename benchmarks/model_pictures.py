@@ -1,7 +1,7 @@
 """Pictures of every PSF model for docs/models.md: PSFs over the parameters, their points, and a frame.
 
 Reads the databases that ship, and the frame ``coins`` from ``--frames`` (default frames), or else the small one
-that ships. Writes to docs/models.
+that ships, whose pictures are written to benchmarks/results/small. Writes to docs/models.
 
     python benchmarks/model_pictures.py [--frames DIR]
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
-from scenes import Scene, parser, scenes
+from scenes import Scene, parser, result_path, scenes
 
 import spreadlets as sp
 from spreadlets.precompute.build.build import model_settings
@@ -106,7 +106,7 @@ def aperture_picture() -> None:
     save("apertures", rows)
 
 
-def frame_picture(name: str, scene: Scene) -> None:
+def frame_picture(name: str, scene: Scene, path: Path) -> None:
     """Show the frame as a model blurs it."""
     frame, camera = scene.pinhole, scene.camera
     if name == "volume":
@@ -116,7 +116,7 @@ def frame_picture(name: str, scene: Scene) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         image = sp.synthesize(frame, camera, name, motion=name == "combined")
-    matplotlib.image.imsave(FOLDER / f"{name}_frame.png", _eight_bit(image[..., :3]))
+    matplotlib.image.imsave(path, _eight_bit(image[..., :3]))
 
 
 def _eight_bit(image: np.ndarray) -> np.ndarray:
@@ -127,14 +127,15 @@ def _eight_bit(image: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    coins = next(
-        scene for scene in scenes(parser(__doc__).parse_args().frames, "_pinhole.exr") if scene.name == "coins"
-    )
+    given = parser(__doc__).parse_args().frames
+    coins = next(scene for scene in scenes(given, "_pinhole.exr") if scene.name == "coins")
+    whole = coins.folders == (given,)
     FOLDER.mkdir(exist_ok=True)
     aperture_picture()
     for name in (*PLACES, "physicallens"):
         database_picture(name)
-        frame_picture(name, coins)
+        picture = f"{name}_frame.png"
+        frame_picture(name, coins, FOLDER / picture if whole else result_path(picture))
 
 
 if __name__ == "__main__":
