@@ -33,6 +33,9 @@ RECONNECT_S = 30.0
 WATCH_S = 1.0
 """How often to look whether a parent process or a cluster is still there, s."""
 
+RETRY_S = 0.1
+"""How long to wait before a result that did not arrive is asked for again, s."""
+
 WORKERLESS_S = 60.0
 """How long a cluster may be without any worker before the work stops, s: a new one may be on its way."""
 
@@ -281,14 +284,15 @@ class _Cluster:
                 continue
             try:
                 result = self._result(future)
-            except TimeoutError:
-                # Its worker has gone with the result, and another computes it again.
+            except OSError:
+                # Its worker has gone with the result, and another computes it again; or the scheduler has gone.
                 ended.put(future)
+                time.sleep(RETRY_S)
                 continue
             yield running.pop(future.key)[1], result
 
     def _result(self, future: Any) -> Any:
-        """Return what came of a task that has ended; TimeoutError if the result does not arrive."""
+        """Return what came of a task that has ended; OSError, such as TimeoutError, if the result does not arrive."""
         if future.status in GIVEN_UP:
             raise self._error(f"the connection to the scheduler is lost; {AGAIN}")
         if future.status == "error":
