@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import atexit
 from typing import Any
 
 import bpy
@@ -68,13 +69,15 @@ CLASSES = (SPREADLETS_OT_check, SPREADLETS_AP_preferences)
 
 
 def register() -> None:
-    """Add the preferences."""
+    """Add the preferences; Blender leaves without unregistering, so the processes are ended then, too."""
+    atexit.register(stop_all)
     for each in CLASSES:
         bpy.utils.register_class(each)
 
 
 def unregister() -> None:
     """End the processes, and take the preferences out."""
+    atexit.unregister(stop_all)
     stop_all()
     for each in reversed(CLASSES):
         bpy.utils.unregister_class(each)
