@@ -1,24 +1,20 @@
 """What is drawn between the cells of the shipped databases, against the exact PSF at random coordinates.
 
-    python benchmarks/between_cells.py [--frames ../frames] [--count 1000]
+    python benchmarks/between_cells.py [--frames DIR] [--count 1000]
 
 Writes between_cells.txt to benchmarks/results: the figures that every database records
-(`spreadlets.precompute.build.between_cells`), the PSFs of single coordinates against the tracer's, and, if a folder of
-frames is given, how many points highlights take and what they change.
+(`spreadlets.precompute.build.between_cells`), the PSFs of single coordinates against the tracer's, and, on rendered
+frames, how many points highlights take and what they change.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from scenes import Scene, parser, result_path, scenes
 
 import spreadlets as sp
-from spreadlets.files.exr_frames import read_image
 from spreadlets.metrics import psf_similarity
 from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.models.registry import exact_psf, trace_psf
 
-RESULTS = Path(__file__).parent / "results"
 MODELS = ("simplelens", "combined", "stylized", "volume", "physicallens")
 TRACED = {"simplelens": 100, "combined": 100, "stylized": 40, "physicallens": 40}
 """How many exact PSFs are held against the tracer's, which takes a second for those of glass."""
@@ -50,24 +46,24 @@ def traced_row(name: str, count: int) -> str:
     return f"{name:<14}{count:>6}{np.mean(scores):>14.4f}{np.percentile(scores, 1):>14.4f}{min(scores):>14.4f}"
 
 
-def frame_rows(folder: Path) -> list[str]:
+def frame_rows(found: list[Scene]) -> list[str]:
     """Return what highlights change in frames: points for each drawn pixel, and the metrics."""
     lines = []
-    for name in ("coins", "whirl", "fence"):
-        frame, camera = sp.read_frame(folder / f"{name}_pinhole.exr"), sp.read_camera(folder / f"{name}.json")
-        reference = read_image(folder / f"{name}_ref_dofmb.exr")
-        image, report = sp.synthesize(frame, camera, "combined", report=True)
-        plan, scores = report["plan"], sp.metrics.compare(image, reference)
+    for scene in found:
+        image, report = sp.synthesize(scene.pinhole, scene.camera, "combined", report=True)
+        plan, scores = report["plan"], sp.metrics.compare(image, scene.reference)
         points = plan["points_splatted"] / (plan["pixels_sparse"] + plan["pixels_dense"])
-        lines.append(f"{name:<14}{points:>14.1f}{scores['ssim']:>14.4f}{scores['psnr']:>14.2f}{scores['flip']:>14.4f}")
+        lines.append(
+            f"{scene.name:<14}{points:>14.1f}{scores['ssim']:>14.4f}{scores['psnr']:>14.2f}{scores['flip']:>14.4f}"
+        )
     return lines
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, help="folder of coins, whirl and fence")
-    parser.add_argument("--count", type=int, default=between_cells.N_COORDINATES)
-    arguments = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--count", type=int, default=between_cells.N_COORDINATES)
+    arguments = options.parse_args()
+    found = scenes(arguments.frames, "_pinhole.exr", "_ref_dofmb.exr")
     between_cells.N_COORDINATES = arguments.count
     names = ("mean", "percentile 1", "CoC >= 4 px", "radius", "centre, px")
     lines = ["As drawn, against the exact PSF: similarity; relative error of the rim's radius, distance of its centre."]
@@ -77,11 +73,10 @@ def main() -> None:
     lines += ["", "PSFs of single coordinates against traced ones: similarity."]
     lines.append(f"{'':<14}{'n':>6}{'mean':>14}{'percentile 1':>14}{'worst':>14}")
     lines += [traced_row(name, min(count, arguments.count)) for name, count in TRACED.items()]
-    if arguments.frames:
-        lines += ["", f"{'':<14}" + "".join(f"{name:>14}" for name in ("points/pixel", "SSIM", "PSNR", "FLIP"))]
-        lines += frame_rows(arguments.frames)
+    lines += ["", f"{'':<14}" + "".join(f"{name:>14}" for name in ("points/pixel", "SSIM", "PSNR", "FLIP"))]
+    lines += frame_rows(found)
     print("\n".join(lines))
-    (RESULTS / "between_cells.txt").write_text("\n".join(lines) + "\n")
+    result_path("between_cells.txt").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,22 +1,20 @@
 """Deep images as depth layers: cut where surfaces part, by rank, and the layers as they were rendered.
 
-The rendered depth layers of coins and fence (``--frames``, default frames; skips cleanly where they are
-missing) are stored as one deep image each and read again. SSIM is against the renderer's own depth of field and motion
-blur. Writes deep_layers.txt to benchmarks/results.
+The rendered depth layers of coins and fence (``--frames``, default frames, or else the small ones that ship) are stored
+as one deep image each and read again. SSIM is against the renderer's own depth of field and motion blur. Writes
+deep_layers.txt to benchmarks/results.
 
     python benchmarks/deep_layers.py [--frames DIR] [--db combined]
 """
 
-import argparse
 import tempfile
-from pathlib import Path
 
 import numpy as np
+from scenes import parser, result_path, scenes
 
 import spreadlets as sp
 
-RESULTS = Path(__file__).parent / "results"
-SCENES = {"coins": 4, "fence": 3}
+SCENES = ("coins", "fence")
 COLUMNS = ("scene", "layers", "made", "ssim")
 
 
@@ -39,27 +37,22 @@ def by_rank(layers: list[sp.Frame]) -> sp.Frame:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, default=Path("frames"))
-    parser.add_argument("--db", default="combined")
-    arguments = parser.parse_args()
-    if not (arguments.frames / "coins_layer0.exr").exists():
-        print(f"skipped: no frames in {arguments.frames}")
-        return
+    options = parser(__doc__)
+    options.add_argument("--db", default="combined")
+    arguments = options.parse_args()
+    found = [scene for scene in scenes(arguments.frames, "_layer0.exr", "_ref_dofmb.exr") if scene.name in SCENES]
     lines = [f"{COLUMNS[0]:<8}{COLUMNS[1]:<14}{COLUMNS[2]:>6}{COLUMNS[3]:>8}"]
     with sp.open_database(arguments.db) as database, tempfile.TemporaryDirectory() as folder:
-        for scene, count in SCENES.items():
-            layers = [sp.read_frame(arguments.frames / f"{scene}_layer{index}.exr") for index in range(count)]
-            camera = sp.read_camera(arguments.frames / f"{scene}.json")
-            reference = sp.read_image(arguments.frames / f"{scene}_ref_dofmb.exr")
+        for scene in found:
+            layers = list(scene.layered.layers)
             sp.write_deep(f"{folder}/deep.exr", deep_of(layers))
             cut = sp.read_frame(f"{folder}/deep.exr")
-            frames = {"as rendered": sp.Frame.from_layers(layers), "deep, cut": cut, "deep, by rank": by_rank(layers)}
+            frames = {"as rendered": scene.layered, "deep, cut": cut, "deep, by rank": by_rank(layers)}
             for name, frame in frames.items():
-                ssim = sp.metrics.ssim(sp.synthesize(frame, camera, database), reference)
-                lines.append(f"{scene:<8}{name:<14}{len(frame.layers):>6}{ssim:>8.4f}")
+                ssim = sp.metrics.ssim(sp.synthesize(frame, scene.camera, database), scene.reference)
+                lines.append(f"{scene.name:<8}{name:<14}{len(frame.layers):>6}{ssim:>8.4f}")
                 print(lines[-1], flush=True)
-    (RESULTS / "deep_layers.txt").write_text("\n".join(lines) + "\n")
+    result_path("deep_layers.txt").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -3,24 +3,23 @@
 Drawn cases, each against its truth in layers: a disc, stick or half plane before a patterned plane, with colours
 filtered as renderers do (box, Blackman-Harris, Gaussian), depth point-sampled or filtered, or an element over nothing;
 focused on the near or the far one. Further: a dark slanted floor behind something near and wide, and a subject in focus
-before a blurred background. With ``--frames``, the frames there that have a pinhole view and a reference are measured,
+before a blurred background. The frames of ``--frames`` that have a pinhole view and a reference are measured,
 too. Writes edges.txt and pictures of the worst cases to benchmarks/results.
 
     python benchmarks/edges.py [--frames DIR] [--cases 200]
 """
 
-import argparse
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scenes import parser, result_path, scenes
 from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.scene.display import display_encode
 
-RESULTS = Path(__file__).parent / "results"
 SIDE, FINE, MARGIN = 96, 8, 6
 """Pixels of a drawn frame, samples of each along an axis, and pixels at the border that are not judged."""
 FOCUS = 4.0
@@ -211,17 +210,18 @@ def bleed(database: sp.Database, layers: int) -> float:
     return float((50.0 - np.hypot(x, y))[wrong].max(initial=0.0))
 
 
-def frame_line(folder: Path, name: str, camera: str, reference: str, database: sp.Database) -> str:
+def frame_line(pinhole: Path, camera: Path, reference: Path, database: sp.Database) -> str:
     """Return a line about a rendered frame."""
-    frame, truth = sp.read_frame(folder / f"{name}_pinhole.exr"), sp.read_image(folder / f"{reference}.exr")
-    image, report = sp.synthesize(frame, sp.read_camera(folder / f"{camera}.json"), database, report=True)
+    frame, truth = sp.read_frame(pinhole), sp.read_image(reference)
+    image, report = sp.synthesize(frame, sp.read_camera(camera), database, report=True)
     found = sp.metrics.compare(image, truth)
     off = np.abs(display_encode(image[..., :3]) - display_encode(truth[..., :3])).max(axis=2) > OFF
     tiles = worst_tile(image, truth)
     figures = f"SSIM {found['ssim']:.4f}  FLIP {found['flip']:.4f}  PSNR {found['psnr']:.2f}"
     return (
-        f"{reference:<20} {figures}  off by more than {OFF}: {100 * off.mean():.2f} %  worst tile {tiles[0]:.0f} %, "
-        f"beyond 5 %: {tiles[1]:.2f}  layers {report['plan']['layers']}  {report['time_s']['total']:.2f} s"
+        f"{reference.stem:<20} {figures}  off by more than {OFF}: {100 * off.mean():.2f} %  "
+        f"worst tile {tiles[0]:.0f} %, beyond 5 %: {tiles[1]:.2f}  "
+        f"layers {report['plan']['layers']}  {report['time_s']['total']:.2f} s"
     )
 
 
@@ -237,20 +237,20 @@ def worst_tile(image: np.ndarray, truth: np.ndarray, size: int = 16, border: int
     return float(error.max()), float((error > 5).mean())
 
 
-FRAMES = (
-    ("foliage", "foliage", "foliage_ref_dofmb"),
-    ("rain", "rain_thin", "rain_ref_thin"),
-    ("coins", "coins", "coins_ref_dofmb"),
-    ("whirl", "whirl", "whirl_ref_dofmb"),
-    ("fence", "fence", "fence_ref_dofmb"),
+FURTHER = (
+    ("foliage_pinhole.exr", "foliage.json", "foliage_ref_dofmb.exr"),
+    ("rain_pinhole.exr", "rain_thin.json", "rain_ref_thin.exr"),
 )
+"""Anti-aliased frames."""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path)
-    parser.add_argument("--cases", type=int, default=200)
-    arguments = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--cases", type=int, default=200)
+    arguments = options.parse_args()
+    found = scenes(arguments.frames, "_pinhole.exr", "_ref_dofmb.exr")
+    frames_found = [[arguments.frames / name for name in names] for names in FURTHER]
+    frames_found += [[scene.path(each) for each in ("_pinhole.exr", ".json", "_ref_dofmb.exr")] for scene in found]
     warnings.simplefilter("ignore")
     lines = []
     with sp.open_database("combined") as database:
@@ -267,10 +267,9 @@ def main() -> None:
         lines.append(f"slanted dark floor behind a near post, second difference of rows: {stripes(database):.2f} steps")
         for layers in (4, 8, 12):
             lines.append(f"subject in focus, at most {layers} layers: bleeds {bleed(database, layers):.1f} px")
-        if arguments.frames:
-            lines += [frame_line(arguments.frames, *each, database) for each in FRAMES]
+        lines += [frame_line(*each, database) for each in frames_found if all(path.exists() for path in each)]
     print("\n".join(lines))
-    (RESULTS / "edges.txt").write_text("\n".join(lines) + "\n")
+    result_path("edges.txt").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -11,14 +11,13 @@ difference of the first from the reference.
 """
 
 import statistics
-from pathlib import Path
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, scenes
 from scipy import ndimage
 from speed import rendered
 
@@ -42,16 +41,14 @@ NODES = {"coins": 0.927, "whirl": 0.965, "fence": 0.807}
 def similarity(scene: Scene, database: sp.Database, report: Report) -> None:
     """Add the rows of a scene's synthesis, sparse and dense, and save its picture."""
     images = {}
-    for kind, frame, goal in (
-        ("layered", scene.layered, 0.97),
-        ("single", scene.pinhole, GOAL_SINGLE[scene.name]),
-    ):
+    given = [("layered", scene.layered, 0.97)] if scene.path("_layer0.exr").exists() else []
+    for kind, frame, goal in (*given, ("single", scene.pinhole, GOAL_SINGLE[scene.name])):
         images[kind] = sp.synthesize(frame, scene.camera, database)
         dense = sp.synthesize(frame, scene.camera, database, method="dense")
         found, ceiling = (sp.metrics.ssim(each, scene.reference) for each in (images[kind], dense))
         nodes = NODES[scene.name] if kind == "single" else "-"
         report.row(f"{scene.name}, {kind}", found, f">= {goal}", ceiling, ceiling - found, "<= 0.005", nodes)
-    save_pictures(RESULTS / f"layers_{scene.name}.png", [images["single"], images["layered"]], scene.reference)
+    save_pictures(result_path(f"layers_{scene.name}.png"), list(images.values())[::-1], scene.reference)
 
 
 def halo(scene: Scene, kind: str, frame: sp.Frame, database: sp.Database, report: Report) -> None:
@@ -103,9 +100,9 @@ def seams(database: sp.Database, report: Report) -> None:
         report.row(f"{name}: mean", *(float(change.mean()) for change in changes))
 
 
-def times(folder: Path, name: str, size: int, rounds: int, database: sp.Database) -> list[dict[str, float]]:
+def times(scene: Scene, size: int, rounds: int, database: sp.Database) -> list[dict[str, float]]:
     """Return the median seconds of each step for each number of layers, interleaved."""
-    frame, camera = rendered(folder, name, size)
+    frame, camera = rendered(scene, size)
     found: dict[int, list[dict[str, float]]] = {count: [] for count in COUNTS}
     for number in range(rounds + 1):
         for count in COUNTS:
@@ -115,12 +112,10 @@ def times(folder: Path, name: str, size: int, rounds: int, database: sp.Database
     return [{step: statistics.median(each[step] for each in runs) for step in runs[0]} for runs in found.values()]
 
 
-def time_rows(folder: Path, scenes: list[Scene], rounds: int, database: sp.Database, report: Report) -> None:
+def time_rows(scenes: list[Scene], rounds: int, database: sp.Database, report: Report) -> None:
     """Add the tables of time against the number of layers: whole, and by steps."""
     found = {
-        f"{scene.name}, {size} x {size}": times(folder, scene.name, size, rounds, database)
-        for size in SIZES
-        for scene in scenes
+        f"{scene.name}, {size} x {size}": times(scene, size, rounds, database) for size in SIZES for scene in scenes
     }
     report.row("time over that of 1 layer", *COUNTS, "1 layer, ms")
     for name, each in found.items():
@@ -137,16 +132,16 @@ def time_rows(folder: Path, scenes: list[Scene], rounds: int, database: sp.Datab
 
 def draw(curves: dict[str, dict[str, list[float]]]) -> None:
     """Draw similarity against the number of layers; dotted: the plain sum."""
-    figure, axes = plt.subplots(1, len(curves), figsize=(10, 3.3), layout="constrained")
-    for axis, (scene, found) in zip(axes, curves.items(), strict=True):
+    figure, axes = plt.subplots(1, len(curves), figsize=(10, 3.3), layout="constrained", squeeze=False)
+    for axis, (scene, found) in zip(axes[0], curves.items(), strict=True):
         for (name, values), style in zip(found.items(), ("-o", "--s"), strict=True):
             axis.plot(COUNTS, values, style, label=name)
         axis.axhline(found["soft"][0], color="k", linestyle=":", label="plain sum")
         axis.set_xscale("log", base=2)
         axis.set(title=scene, xlabel="layers", xticks=COUNTS, xticklabels=COUNTS)
-    axes[0].set_ylabel("SSIM, single-layer input")
-    axes[0].legend()
-    figure.savefig(RESULTS / "layers.png", dpi=80)
+    axes[0, 0].set_ylabel("SSIM, single-layer input")
+    axes[0, 0].legend()
+    figure.savefig(result_path("layers.png"), dpi=80)
 
 
 @limit_threads(min(2, thread_count()))
@@ -154,9 +149,7 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--rounds", type=int, default=7)
     given = arguments.parse_args()
-    found = scenes(given.frames)
-    if not found:
-        return
+    found = scenes(given.frames, "_pinhole.exr", "_ref_dofmb.exr")
     report, curves = Report(), {}
     with sp.open_database("combined") as database:
         report.row("synthesis, SSIM", "ours", "goal", "dense", "loss", "goal", "nodes")
@@ -175,11 +168,12 @@ def main() -> None:
         report.add("(change of the displayed image, whose range is 1, against 1 layer)")
         report.add()
         report.row("worst 16 x 16 tile mean", "error", "tile (row, col)", "beyond 5 %", width=18, first=34)
-        halo(found[-1], "layered", found[-1].layered, database, report)
+        if found[-1].path("_layer0.exr").exists():
+            halo(found[-1], "layered", found[-1].layered, database, report)
         halo(found[-1], "single", found[-1].pinhole, database, report)
         report.add(f"(goal: within 5 %; inside: {BORDER_TILES * TILE} px and more from the border)")
         report.add()
-        time_rows(given.frames, found, given.rounds, database, report)
+        time_rows(found, given.rounds, database, report)
     report.save("layers.txt")
     draw(curves)
 

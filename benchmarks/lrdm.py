@@ -23,7 +23,7 @@ import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
-from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, scenes
 
 import spreadlets as sp
 from spreadlets.arrays import Image
@@ -56,9 +56,11 @@ def least_times(runs: dict[str, Callable[[], object]], repeats: int = REPEATS) -
     return found
 
 
-def reconstruct(scene: Scene, method: str, count: int = 4, **settings: object) -> tuple[Image, dict[str, float]]:
-    """Return an image and the figures of its set-up."""
-    samples = scene.samples.take(count)
+def reconstruct(
+    scene: Scene, method: str, count: int | None = None, **settings: object
+) -> tuple[Image, dict[str, float]]:
+    """Return an image, by default of 4 samples if there are as many, and the figures of its set-up."""
+    samples = scene.samples.take(count or scene.counts(COUNTS)[-1])
     image, report = sp.reconstruct(samples, scene.camera, method=method, settings=settings, report=True)
     return image, report["plan"]
 
@@ -74,7 +76,7 @@ def quality(found: list[Scene], report: Report) -> None:
                 sp.reconstruct(scene.samples.take(count), scene.camera, method="mean")
                 if method == "mean"
                 else reconstruct(scene, method, count)[0]
-                for count in COUNTS
+                for count in scene.counts(COUNTS)
             ]
             images[method] = made[-1]
             decibels = [psnr(image, scene.reference) for image in made]
@@ -86,7 +88,7 @@ def quality(found: list[Scene], report: Report) -> None:
             goal = f">= {GOAL_OVER_MEAN_DB:g}" if method != "mean" else "-"
             report.row(f"{scene.name}, {method}", *figures, loss, GOAL_LOSS_DB.get(method, "-"), gain, goal)
         pictures = [images[method] for method in (*METHODS, "mean")]
-        save_pictures(RESULTS / f"lrdm_{scene.name}.png", pictures, scene.reference, shrink=3)
+        save_pictures(result_path(f"lrdm_{scene.name}.png"), pictures, scene.reference, shrink=3)
     report.add()
 
 
@@ -162,13 +164,13 @@ def defocus_only(found: list[Scene], report: Report) -> None:
 
 def other_settings(found: list[Scene], report: Report) -> None:
     """Add the PSNR of `lrdm` with other settings at 1 and at 4 samples."""
-    report.row("lrdm, PSNR", *(f"{scene.name} at {count}" for scene in found for count in (1, 4)))
+    report.row("lrdm, PSNR", *(f"{scene.name} at {count}" for scene in found for count in scene.counts((1, 4))))
     for settings in SETTINGS:
         name = ", ".join(f"{key} {value}" for key, value in settings.items()) or "as it is"
         cells = [
             f"{psnr(reconstruct(scene, 'lrdm', count, **settings)[0], scene.reference):.2f}"
             for scene in found
-            for count in (1, 4)
+            for count in scene.counts((1, 4))
         ]
         report.row(name, *cells)
     report.add()
@@ -231,11 +233,11 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
     given = options.parse_args()
-    found = scenes(given.frames)
+    found = scenes(given.frames, "_samples.exr", "_ref_dofmb.exr")
     if not found:
         return
     assert Lrdm().shrink < 0 and Lrdm().sparsity == 0  # `lrdm` is as its authors have it
-    path = RESULTS / "lrdm.txt"
+    path = result_path("lrdm.txt")
     texts = path.read_text().strip("\n").split("\n\n") if path.exists() else []
     kept = dict(zip(TABLES, texts, strict=True)) if len(texts) == len(TABLES) else {}
     for name in TABLES:

@@ -1,17 +1,17 @@
 """Pictures of every PSF model for docs/models.md: PSFs over the parameters, their points, and a frame.
 
-Reads the databases that ship, and the frame ``coins`` from ``--frames`` (default frames), without which the
-pictures of frames are left out. Writes to docs/models.
+Reads the databases that ship, and the frame ``coins`` from ``--frames`` (default frames), or else the small one
+that ships, whose pictures are written to benchmarks/results/small. Writes to docs/models.
 
     python benchmarks/model_pictures.py [--frames DIR]
 """
 
-import argparse
 import warnings
 from pathlib import Path
 
 import matplotlib.image
 import numpy as np
+from scenes import Scene, parser, result_path, scenes
 
 import spreadlets as sp
 from spreadlets.precompute.build.build import model_settings
@@ -106,9 +106,9 @@ def aperture_picture() -> None:
     save("apertures", rows)
 
 
-def frame_picture(name: str, folder: Path) -> None:
+def frame_picture(name: str, scene: Scene, path: Path) -> None:
     """Show the frame as a model blurs it."""
-    frame, camera = sp.read_frame(folder / "coins_pinhole.exr"), sp.read_camera(folder / "coins.json")
+    frame, camera = scene.pinhole, scene.camera
     if name == "volume":
         # The scene is some metres deep: a thinner fog, of the same optical depth as a smaller scene's.
         layer = frame.layers[0]
@@ -116,7 +116,7 @@ def frame_picture(name: str, folder: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         image = sp.synthesize(frame, camera, name, motion=name == "combined")
-    matplotlib.image.imsave(FOLDER / f"{name}_frame.png", _eight_bit(image[..., :3]))
+    matplotlib.image.imsave(path, _eight_bit(image[..., :3]))
 
 
 def _eight_bit(image: np.ndarray) -> np.ndarray:
@@ -127,18 +127,15 @@ def _eight_bit(image: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=Path, default=ROOT.parent / "shared" / "frames")
-    arguments = parser.parse_args()
+    given = parser(__doc__).parse_args().frames
+    coins = next(scene for scene in scenes(given, "_pinhole.exr") if scene.name == "coins")
+    whole = coins.folders == (given,)
     FOLDER.mkdir(exist_ok=True)
     aperture_picture()
-    has_frame = (arguments.frames / "coins_pinhole.exr").exists()
     for name in (*PLACES, "physicallens"):
         database_picture(name)
-        if has_frame:
-            frame_picture(name, arguments.frames)
-    if not has_frame:
-        print(f"no frames in {arguments.frames}: their pictures are left out")
+        picture = f"{name}_frame.png"
+        frame_picture(name, coins, FOLDER / picture if whole else result_path(picture))
 
 
 if __name__ == "__main__":

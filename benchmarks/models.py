@@ -2,15 +2,14 @@
 
 Databases that ship are read; of the full-size grid of ``physicallens``, 4,000 cells, a random sample is built. For the
 sparsity at the similarity of LKS, a mean of .97, PSFs of grids up to a CoC of 256 px, which fill the window of LKS, are
-sparsified at several prices of a point. Frames are read from ``--frames`` (default frames) and skipped where
-they are missing. Writes models.txt, models_sparsity.txt and models_frames.txt to benchmarks/results. The model
+sparsified at several prices of a point. Frames are read from ``--frames`` (default frames), or else
+the small ones that ship. Writes models.txt, models_sparsity.txt and models_frames.txt to benchmarks/results. The model
 ``combined`` is the subject of spreadlet_quality.py and frames.py, too.
 
     python benchmarks/models.py [--frames DIR] [--sample N] [--cells N] [--scenes NAME ...] [--models NAME ...]
                                 [--enlarged NAME ...]
 """
 
-import argparse
 import itertools
 import tempfile
 import time
@@ -19,6 +18,8 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+from scenes import RESULTS, SCENES, Scene, result_path, scenes
+from scenes import parser as frames_parser
 from scipy import ndimage
 
 import spreadlets as sp
@@ -31,8 +32,6 @@ from spreadlets.runtime.options import Options
 from spreadlets.runtime.render import synthesize
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "benchmarks" / "results"
-SCENES = ("coins", "whirl", "fence")
 MODELS = ("simplelens", "combined", "physicallens", "volume", "stylized")
 LKS_SPARSITY = {"simplelens": 31.3, "combined": 9.3, "physicallens": 2.2, "volume": 18.4, "stylized": 24.9}
 LKS_MEGABYTES = {"simplelens": 1.1, "combined": 4.2, "physicallens": 30.8, "volume": 5.3, "stylized": 9.0}
@@ -176,9 +175,9 @@ def enlarged(frame: sp.Frame) -> sp.Frame:
     return sp.Frame(np.where(flat[..., None], radiance, frame.radiance[nearest]), depth)
 
 
-def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs, enlarge: bool) -> list[object]:
+def frame_row(scene: Scene, database: Database, dense_psf: DensePsfs, enlarge: bool) -> list[object]:
     """Return a row of the second table: spreadlets against dense splatting of the same PSFs."""
-    frame, camera = sp.read_frame(folder / f"{scene}_pinhole.exr"), sp.read_camera(folder / f"{scene}.json")
+    frame, camera = scene.pinhole, scene.camera
     frame = enlarged(frame) if enlarge else frame
     with warnings.catch_warnings():
         # These scenes are in units of their own: the CoC is that of the frame's camera, the aberrations the lens's.
@@ -191,7 +190,7 @@ def frame_row(folder: Path, scene: str, database: Database, dense_psf: DensePsfs
     points = report["plan"]["points_splatted"] / frame.radiance[..., 0].size
     return [
         database.grid.model.name,
-        f"{scene}, {frame.shape[1]} px",
+        f"{scene.name}, {frame.shape[1]} px",
         figures["ssim"],
         1 - figures["ssim"],
         figures["psnr"],
@@ -271,7 +270,7 @@ def spreadlet_table(n_sampled: int) -> str:
     return table((*columns, "MB", "LKS MB", "s each", "s per cell, 2 cores"), rows)
 
 
-def frame_table(folder: Path, scenes: list[str], names: list[str], larger: list[str]) -> str:
+def frame_table(found: list[Scene], names: list[str], larger: list[str]) -> str:
     """Return the table of images against dense splatting of the same PSFs; it is written as it grows.
 
     Those of some models are also drawn at twice the width.
@@ -282,16 +281,15 @@ def frame_table(folder: Path, scenes: list[str], names: list[str], larger: list[
         with open_database(name) as database:
             traced = DensePsfs(database)
             sizes = (False, True) if name in larger else (False,)
-            for enlarge, scene in itertools.product(sizes, scenes):
-                rows.append(frame_row(folder, scene, database, traced, enlarge))
+            for enlarge, scene in itertools.product(sizes, found):
+                rows.append(frame_row(scene, database, traced, enlarge))
                 text = table(FRAME_COLUMNS, rows)
-                (RESULTS / "models_frames.txt").write_text(FRAME_NOTE + text + "\n")
+                result_path("models_frames.txt").write_text(FRAME_NOTE + text + "\n")
     return text
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=Path, default=ROOT.parent / "shared" / "frames")
+    parser = frames_parser(__doc__)
     parser.add_argument("--sample", type=int, default=24, help="poses of each sampled database; 0: no such table")
     parser.add_argument("--cells", type=int, default=40, help="cells of each wide grid; 0: no such table")
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
@@ -307,10 +305,9 @@ def main() -> None:
         text = sparsity_table(arguments.cells)
         print(text)
         (RESULTS / "models_sparsity.txt").write_text(SPARSITY_NOTE + text + "\n")
-    if not (arguments.frames / "coins_pinhole.exr").exists():
-        print(f"no frames in {arguments.frames}: the second table is left out")
-    elif arguments.models:
-        text = frame_table(arguments.frames, arguments.scenes, arguments.models, arguments.enlarged)
+    if arguments.models:
+        found = [scene for scene in scenes(arguments.frames, "_pinhole.exr") if scene.name in arguments.scenes]
+        text = frame_table(found, arguments.models, arguments.enlarged)
         print(text)
 
 

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from importlib.util import find_spec
 
 import numpy as np
-from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, scenes
 
 import spreadlets as sp
 from spreadlets.arrays import Image
@@ -81,7 +81,7 @@ def ours(scene: Scene, database: sp.Database, report: Report) -> Image:
     """Add the rows of our methods and return the image of 1 sample."""
     found, means, seconds = [], [], []
     images = []
-    for count in COUNTS:
+    for count in scene.counts(COUNTS):
         samples = scene.samples.take(count)
         image, figures = sp.reconstruct(samples, scene.camera, database, report=True)
         images.append(image)
@@ -89,10 +89,14 @@ def ours(scene: Scene, database: sp.Database, report: Report) -> Image:
         seconds.append(figures["time_s"]["total"])
         means.append(ssim(sp.reconstruct(samples, scene.camera, method="mean"), scene.reference))
     report.row(f"{scene.name}, spreadlets", *found, f">= {GOAL[scene.name]}", *(f"{each:.2f}" for each in seconds))
-    bare = [sp.reconstruct(scene.samples.take(n), scene.camera, database, calibrate=False) for n in COUNTS]
+    bare = [
+        sp.reconstruct(scene.samples.take(n), scene.camera, database, calibrate=False) for n in scene.counts(COUNTS)
+    ]
     report.row(f"{scene.name}, not calibrated", *(ssim(image, scene.reference) for image in bare))
     for name, made in (("spreadlets", images), ("not calibrated", bare), ("mean", None)):
-        made = made or [sp.reconstruct(scene.samples.take(n), scene.camera, method="mean") for n in COUNTS]
+        made = made or [
+            sp.reconstruct(scene.samples.take(n), scene.camera, method="mean") for n in scene.counts(COUNTS)
+        ]
         report.row(f"{scene.name}, {name}, PSNR", *(f"{psnr(image, scene.reference):.2f}" for image in made))
     one = scene.samples.take(1)
     dense, figures = sp.reconstruct(one, scene.camera, database, method="dense", report=True)
@@ -149,7 +153,7 @@ def peers(scene: Scene, image: Image, database: sp.Database, report: Report) -> 
 @limit_threads(min(2, thread_count()))
 def main() -> None:
     given = parser(__doc__).parse_args()
-    found = scenes(given.frames)
+    found = scenes(given.frames, "_samples.exr", "_ref_dofmb.exr")
     if not found:
         return
     report = Report()
@@ -159,7 +163,7 @@ def main() -> None:
         for scene in found:
             image = ours(scene, database, report)
             others = peers(scene, image, database, report)
-            save_pictures(RESULTS / f"reconstruction_{scene.name}.png", [image, *others], scene.reference, shrink=3)
+            save_pictures(result_path(f"reconstruction_{scene.name}.png"), [image, *others], scene.reference, shrink=3)
             report.add()
         report.row("SSIM, fireflies", "none, any", "none, clamped", f"{N_FIREFLIES}, any", f"{N_FIREFLIES}, clamped")
         for scene in found:

@@ -14,6 +14,8 @@ from spreadlets.scene.display import display_encode
 SCENES = ("coins", "whirl", "fence")
 RESULTS = Path(__file__).parent / "results"
 DATA, TESTS = Path(sp.__file__).parent / "data", Path(__file__).parent.parent / "tests" / "data"
+SMALL = RESULTS / "small"
+"""Where results of small frames are written: those of the frames at full size are kept."""
 SHIPPED = {"coins": (TESTS,), "fence": (DATA, TESTS)}
 """Where the small frames that ship are: 256 x 256 px, see `benchmarks/shipped_frames.py`."""
 DIFFERENCE_GAIN = 4
@@ -74,6 +76,8 @@ def parser(description: str | None) -> argparse.ArgumentParser:
 def scenes(folder: Path, *needed: str) -> list[Scene]:
     """Return the scenes of a folder, or else of the small frames that ship, that have what is needed; say which.
 
+    From then on, `result_path` is among results of frames of that size.
+
     Parameters
     ----------
     folder : path
@@ -85,8 +89,19 @@ def scenes(folder: Path, *needed: str) -> list[Scene]:
     found = [Scene(name, *folders) for name, folders in places.items()]
     found = [scene for scene in found if all(scene.path(ending).exists() for ending in needed)]
     names = ", ".join(scene.name for scene in found) or "none"
+    _taken["small"] = not whole
     print(f"frames of {folder}: {names}" if whole else f"no frames in {folder}; small frames that ship: {names}")
     return found
+
+
+_taken = {"small": False}
+
+
+def result_path(name: str) -> Path:
+    """Return where a result is written."""
+    folder = SMALL if _taken["small"] else RESULTS
+    folder.mkdir(exist_ok=True)
+    return folder / name
 
 
 def save_pictures(path: Path, images: list[np.ndarray], reference: np.ndarray, shrink: int = 2) -> None:
@@ -122,4 +137,4 @@ class Report:
 
     def save(self, name: str) -> None:
         """Write what was added to a file of the results."""
-        (RESULTS / name).write_text("\n".join(self.lines) + "\n")
+        result_path(name).write_text("\n".join(self.lines) + "\n")

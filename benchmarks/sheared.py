@@ -21,7 +21,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, scenes
 from scipy import ndimage
 
 import spreadlets as sp
@@ -154,25 +154,31 @@ def gain(better: Image, worse: Image, reference: Image) -> float:
 
 def quality(report: Report, scene: Scene) -> None:
     """Add the tables of a frame and save its picture."""
-    taken = [scene.samples.take(n) for n in COUNTS]
+    taken = [scene.samples.take(n) for n in scene.counts(COUNTS)]
     images = compare_methods(report, scene.name, taken, scene.camera, scene.reference, METHODS)
     for method in METHODS[1:]:
         over = gain(images[method][-1], images["mean"][-1], scene.reference)
         report.row(f"{scene.name}, {method} over mean", "-", "-", f"{over:+.2f}", f">= {GOAL_OVER_MEAN_DB:g}")
     shown = [images[method][-1] for method in ("sheared", "axis-aligned", "mean")]
-    save_pictures(RESULTS / f"sheared_{scene.name}.png", shown, scene.reference, shrink=3)
+    save_pictures(result_path(f"sheared_{scene.name}.png"), shown, scene.reference, shrink=3)
     truth = traced(scene, REFERENCE_SAMPLES, 1, seed=1)[1]
     buffers = [traced(scene, n, n, seed=2)[0] for n in COUNTS]
     still = compare_methods(report, f"{scene.name} at rest", buffers, scene.camera, truth, METHODS)
     gains = [gain(a, b, truth) for a, b in zip(still["sheared"], still["axis-aligned"], strict=True)]
     report.row(f"{scene.name} at rest, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
     shown = [still[method][-1] for method in ("sheared", "axis-aligned", "mean")]
-    save_pictures(RESULTS / f"sheared_{scene.name}_at_rest.png", shown, truth, shrink=3)
+    save_pictures(result_path(f"sheared_{scene.name}_at_rest.png"), shown, truth, shrink=3)
+    if scene.path("_ref_dof.exr").exists():
+        moved_to_mid_shutter(report, scene, taken)
+    report.add()
+
+
+def moved_to_mid_shutter(report: Report, scene: Scene, taken: list[sp.SampleBuffer]) -> None:
+    """Add the tables of samples that are moved to mid-shutter."""
     defocus = sp.read_image(scene.path("_ref_dof.exr"))
     moved = compare_methods(report, f"{scene.name} moved", taken, scene.camera, defocus, METHODS[1:])
     gains = [gain(a, b, defocus) for a, b in zip(moved["sheared"], moved["axis-aligned"], strict=True)]
     report.row(f"{scene.name} moved, sheared's lead", *(f"{each:+.2f}" for each in gains), "> 0")
-    report.add()
 
 
 def displayed(buffer: sp.SampleBuffer) -> sp.SampleBuffer:
@@ -317,9 +323,9 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
     given = options.parse_args()
-    visibility(RESULTS / "sheared_visibility.png")
-    found = scenes(given.frames)
-    for name in given.tables if found else ():
+    found = scenes(given.frames, "_samples.exr", "_layer0.exr", "_ref_dofmb.exr")
+    visibility(result_path("sheared_visibility.png"))
+    for name in given.tables:
         make, head = TABLES[name]
         report = Report()
         report.row(*head)

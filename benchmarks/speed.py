@@ -4,7 +4,7 @@
 
 Synthetic frames: a picture with texture and highlights; CoC radius constant, smoothly varying, or random for each pixel
 (from half the radius to the radius), alone and with motion. Rendered frames are read from ``--frames`` (default
-frames, skipped where missing) and tiled to the size. Beyond the shipped database's range, one with just the
+frames, or the small ones that ship) and tiled to the size. Beyond the shipped database's range, one with just the
 cells in use is built for the run. Times are medians of interleaved rounds. Dense splatting draws the same PSFs in full,
 pixel by pixel (dense) or as differences along rows that are summed up at the end (rows); tracing them is not counted.
 Columns: seconds of the four, spreadlets without and with level of detail; dense over spreadlets without and with it
@@ -12,7 +12,6 @@ Columns: seconds of the four, spreadlets without and with level of detail; dense
 points per pixel without and with it; milliseconds of the steps. Writes speed.txt to benchmarks/results.
 """
 
-import argparse
 import statistics
 import tempfile
 import time
@@ -20,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scenes import Scene, parser, result_path, scenes
 from scipy import ndimage
 
 import spreadlets as sp
@@ -30,8 +30,6 @@ from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.options import Options
 from spreadlets.runtime.render import synthesize
 
-RESULTS = Path(__file__).parent / "results"
-SCENES = ("coins", "whirl", "fence")
 RADII = (16, 32, 64, 128)
 CAMERA = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.01, focus_distance_m=4.0, shutter=(-0.25, 0.25))
 
@@ -84,10 +82,9 @@ def synthetic(size: int, kind: str, radius: float, motion: float) -> sp.Frame:
     return sp.Frame(picture(size), depth, path / CAMERA.shutter_duration)
 
 
-def rendered(folder: Path, scene: str, size: int) -> tuple[sp.Frame, sp.ThinLens]:
+def rendered(scene: Scene, size: int) -> tuple[sp.Frame, sp.ThinLens]:
     """Return a rendered frame tiled to the size, and its camera with the same CoC in pixels."""
-    frame = sp.read_frame(folder / f"{scene}_pinhole.exr")
-    camera = sp.read_camera(folder / f"{scene}.json")
+    frame, camera = scene.pinhole, scene.camera
     times = -(-size // frame.shape[0])
     tiled = (
         np.tile(array, (times, times, *(1,) * (array.ndim - 2)))[:size, :size]
@@ -157,13 +154,13 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
 
 @limit_threads(min(2, thread_count()))
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", type=int, default=1024)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--layers", type=int, default=1, help="depth layers; 1 compares drawing alone")
-    parser.add_argument("--frames", type=Path, default=Path("frames"))
-    parser.add_argument("--only", help="rows whose name contains this")
-    arguments = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--size", type=int, default=1024)
+    options.add_argument("--rounds", type=int, default=3)
+    options.add_argument("--layers", type=int, default=1, help="depth layers; 1 compares drawing alone")
+    options.add_argument("--only", help="rows whose name contains this")
+    arguments = options.parse_args()
+    found = scenes(arguments.frames, "_pinhole.exr")
     unit = unit_time()
     titles = ("dense s", "rows s", "tol 0 s", "s", "x tol 0", "x", "x rows", "1-SSIM", "unit/pt", "pts tol0", "pts")
     titles += ("plan ms", "splat", "integr.", "compos.")
@@ -179,13 +176,13 @@ def main() -> None:
             frame = synthetic(arguments.size, kind, radius, motion)
             lines.append(measure(name, frame, CAMERA, arguments.rounds, unit, arguments.layers))
             print(lines[-1], flush=True)
-    for scene in SCENES if (arguments.frames / "coins_pinhole.exr").exists() else ():
-        if arguments.only in (None, "") or arguments.only in scene:
-            frame, camera = rendered(arguments.frames, scene, arguments.size)
-            lines.append(measure(scene, frame, camera, arguments.rounds, unit, arguments.layers))
+    for scene in found:
+        if arguments.only in (None, "") or arguments.only in scene.name:
+            frame, camera = rendered(scene, arguments.size)
+            lines.append(measure(scene.name, frame, camera, arguments.rounds, unit, arguments.layers))
             print(lines[-1], flush=True)
     if arguments.only is None:
-        (RESULTS / "speed.txt").write_text("\n".join(lines) + "\n")
+        result_path("speed.txt").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ reference, 4 times the difference of tlfr from it), to benchmarks/results.
 import time
 from collections.abc import Callable, Mapping
 
-from scenes import RESULTS, Report, Scene, parser, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, scenes
 
 import spreadlets as sp
 from spreadlets.arrays import Image
@@ -71,7 +71,7 @@ def quality(report: Report, scene: Scene) -> None:
         report.add()
     if scene.samples.n_samples >= COUNTS[-1]:
         shown = [found[title][0] for title in ("tlfr", "tlfr, as published", "sheared", "lrdm")]
-        save_pictures(RESULTS / f"tlfr_{scene.name}.png", shown, scene.reference, shrink=3)
+        save_pictures(result_path(f"tlfr_{scene.name}.png"), shown, scene.reference, shrink=3)
 
 
 def rows(report: Report, scene: Scene, tried: list[Mapping[str, object]]) -> None:

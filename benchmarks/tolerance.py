@@ -2,24 +2,20 @@
 
     python benchmarks/tolerance.py [--frames DIR]
 
-On the rendered frames of ``--frames`` (default frames; the sample frame of the package where missing). Errors
+On the rendered frames of ``--frames`` (default frames; the small ones that ship where missing). Errors
 are changes of the displayed image against tolerance 0. Writes tolerance.txt and tolerance.png to benchmarks/results.
 """
-
-import argparse
-from pathlib import Path
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from scenes import parser, result_path, scenes
 
 import spreadlets as sp
 from spreadlets.scene.display import display_encode
 
-RESULTS = Path(__file__).parent / "results"
-DATA = Path(sp.__file__).parent / "data"
 TOLERANCES = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
 ROUNDS = 5
 
@@ -60,24 +56,19 @@ def draw(results: dict[str, list[dict[str, float]]]) -> None:
     right.set(xlabel="tolerance", ylabel="points per pixel (dotted: tolerance 0)", ylim=(0, None))
     left.legend(fontsize=7)
     right.legend(fontsize=7)
-    figure.savefig(RESULTS / "tolerance.png", dpi=80)
+    figure.savefig(result_path("tolerance.png"), dpi=80)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=Path, default=Path("frames"))
-    folder = parser.parse_args().frames
-    scenes = ("coins", "whirl", "fence") if (folder / "coins_pinhole.exr").exists() else ("coins",)
-    folder = folder if len(scenes) > 1 else DATA
+    found = scenes(parser(__doc__).parse_args().frames, "_pinhole.exr")
     results, lines = {}, []
     with sp.open_database("combined") as database:
-        for scene in scenes:
-            frame = sp.read_frame(folder / f"{scene}_pinhole.exr")
-            results[scene] = measure(frame, sp.read_camera(folder / f"{scene}.json"), database)
-            lines += [f"{scene:>8}" + "".join(f"{name:>11}" for name in results[scene][0])]
-            lines += ["        " + "".join(f"{value:>11.5g}" for value in row.values()) for row in results[scene]]
+        for scene in found:
+            rows = results[scene.name] = measure(scene.pinhole, scene.camera, database)
+            lines += [f"{scene.name:>8}" + "".join(f"{name:>11}" for name in rows[0])]
+            lines += ["        " + "".join(f"{value:>11.5g}" for value in row.values()) for row in rows]
     print("\n".join(lines))
-    (RESULTS / "tolerance.txt").write_text("\n".join(lines) + "\n")
+    result_path("tolerance.txt").write_text("\n".join(lines) + "\n")
     draw(results)
 
 

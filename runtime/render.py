@@ -23,10 +23,10 @@ from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import Split, frame_pixels, sample_pixels
-from spreadlets.runtime.label.surfaces import split_surfaces
+from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
+from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
-from spreadlets.runtime.plan.divide import divide_frame
+from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import Report, Tally, plan_figures
@@ -90,52 +90,130 @@ def synthesize(
     looked for, see `runtime.plan.behind`. A frame that comes in layers is taken as it is, unless a number of depth
     layers is asked for: then the pixels of all its layers are distributed anew.
     """
+    given = camera, database, options, clock, dense_psf, exact_psf, split, neighbours
+    images, report = synthesize_all([frame], *given)
+    return images[0], report
+
+
+def synthesize_all(
+    frames: Sequence[Frame],
+    camera: ThinLens,
+    database: Database,
+    options: Options | None = None,
+    clock: Clock | None = None,
+    dense_psf: DensePsf | None = None,
+    exact_psf: ExactPsf | None = None,
+    split: Split = split_surfaces,
+    neighbours: Sequence[Frame] = (),
+) -> tuple[list[Image], Report]:
+    """Blur frames that differ in their colours only, all by the plan of the first.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        At least one. The colours of the first say which surfaces a pixel shows, and which pixels are highlights.
+    camera, database, options, clock, dense_psf, exact_psf, split
+        As for `synthesize`.
+    neighbours : sequence of Frame
+        As there, if there is but one frame.
+
+    Returns
+    -------
+    images : list of ndarray of shape (H, W, 4), float32
+        Premultiplied, linear.
+    report : Report
+        With the figures of the first frame.
+    """
     options, clock = options or Options(), clock or Clock()
-    raster, frame = frame.raster, squared(frame)
+    raster, frames = frames[0].raster, [squared(frame) for frame in frames]
+    frame, tally = frames[0], Tally()
     _warn_about_view(database, camera, frame.raster.display.width)
-    label = partial(
-        frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options, split=split
-    )
-    tally = Tally()
+    # Clamp fireflies, and divide mixed pixels as those of the first frame.
     with clock.step("plan"):
-        shown, tally.clamped = _clamped_frame(frame.layers, options.firefly_clamp)
+        clamped = [_clamped_frame(each.layers, options.firefly_clamp) for each in frames]
+        shown, tally.clamped = [layers for layers, _ in clamped], clamped[0][1]
+    label = partial(frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options)
     if options.method == "gather":
-        image = _filtered(shown, camera, database, options, clock, tally, dense_psf, label)
-        return _finished(image, frame.raster, raster, camera, database, options), Report.of(
-            clock, plan_figures(tally, database)
-        )
-    image = np.zeros((*frame.shape, 4), np.float32)
-    draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
-    if len(shown) == 1:
-        with clock.step("plan"):
-            divided = divide_frame(
-                shown[0],
-                camera,
-                Effects(options.defocus, options.motion, database.grid.model.has_motion, options),
-                most=options.layers or MOST_LAYERS,
-                softness=FRAME_SOFTNESS if options.softness is None else options.softness,
-                split=split,
-                neighbours=[squared(each).layers[0] for each in neighbours],
-            )
-            plan = draw(divided.pixel_sets, n_layers=divided.layering.n_layers, layering=divided.layering)
-            visibility = None
-            if plan.n_layers > 1:
-                visibility = ShareBeyond(divided.pixel_sets, plan, divided.known, divided.n_hidden)
-            closed = is_opaque(shown[0].radiance)
-        _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
+        own = partial(label, split=split)
+        images = [_filtered(each, camera, database, options, clock, tally, dense_psf, own) for each in shown]
     else:
+        closed = is_opaque(frame.layers[-1].radiance)
+        draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
+        given = camera, options, draw, clock, tally, split
+        if len(shown[0]) == 1:
+            around = [squared(each).layers[0] for each in neighbours]
+            swept = database.grid.model.has_motion
+            images = _drawn_by_depth([each[0] for each in shown], *given, swept=swept, neighbours=around, closed=closed)
+        else:
+            label = partial(label, swept=database.grid.model.has_motion)
+            images = _drawn_in_layers(shown, *given, label=label, closed=closed)
+    images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
+    return images, Report.of(clock, plan_figures(tally, database))
+
+
+def _drawn_by_depth(
+    shown: Sequence[Layer],
+    camera: ThinLens,
+    options: Options,
+    draw: Callable[..., Plan],
+    clock: Clock,
+    tally: Tally,
+    split: Split,
+    *,
+    swept: bool,
+    neighbours: Sequence[Layer],
+    closed: bool,
+) -> list[Image]:
+    """Draw frames of one layer, divided by depth; all by the plan of the first, which is opaque if ``closed``."""
+    with clock.step("plan"):
+        divided = divide_frames(
+            shown,
+            camera,
+            Effects(options.defocus, options.motion, swept, options),
+            most=options.layers or MOST_LAYERS,
+            softness=FRAME_SOFTNESS if options.softness is None else options.softness,
+            split=split,
+            neighbours=neighbours,
+        )
+        first, *others = divided.pixel_sets
+        plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)
+        plans = [plan, *(plan.coloured(each) for each in others)]
+        visibility = ShareBeyond(first, plan, divided.known, divided.n_hidden) if plan.n_layers > 1 else None
+    images = [np.zeros((*shown[0].shape, 4), np.float32) for _ in shown]
+    for image, each in zip(images, plans, strict=True):
+        counted = tally if each is plan else Tally()
+        _add_plan(image, each, visibility, _solver(options), clock, counted, closed=closed)
+    return images
+
+
+def _drawn_in_layers(
+    shown: Sequence[Sequence[Layer]],
+    camera: ThinLens,
+    options: Options,
+    draw: Callable[..., Plan],
+    clock: Clock,
+    tally: Tally,
+    split: Split,
+    *,
+    label: Callable[..., list[Pixels]],
+    closed: bool,
+) -> list[Image]:
+    """Draw frames that come in layers, all by the plans of the first, whose last layer is opaque if ``closed``."""
+    with clock.step("plan"):
+        shared = [SharedSurfaces(split) for _ in shown[0]]
+        given = [[label(layer, split=each) for layer, each in zip(layers, shared, strict=True)] for layers in shown]
+    if options.layers is not None:
+        given = [[[pixels for group in groups for pixels in group]] for groups in given]
+    images = [np.zeros((*shown[0][0].shape, 4), np.float32) for _ in shown]
+    for number, (group, *others) in enumerate(zip(*given, strict=True)):
         with clock.step("plan"):
-            given = [label(layer, swept=database.grid.model.has_motion) for layer in shown]
-        if options.layers is not None:
-            given = [[pixels for group in given for pixels in group]]
-        for number, group in enumerate(given):
-            with clock.step("plan"):
-                plan = draw(group, n_layers=options.layers or 1)
-                # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
-                closed = number == len(given) - 1 and is_opaque(frame.layers[-1].radiance)
-            _add_plan(image, plan, None, _solver(options), clock, tally, closed=closed)
-    image = _finished(image, frame.raster, raster, camera, database, options)
-    return image, Report.of(clock, plan_figures(tally, database))
+            plan = draw(group, n_layers=options.layers or 1)
+            plans = [plan, *(plan.coloured(each) for each in others)]
+            # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
+            last = closed and number == len(given[0]) - 1
+        for image, each in zip(images, plans, strict=True):
+            _add_plan(image, each, None, _solver(options), clock, tally if each is plan else Tally(), closed=last)
+    return images
 
 
 def reconstruct(

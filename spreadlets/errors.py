@@ -49,11 +49,23 @@ class MissingPackageError(InvalidParameterError):
     """Something was asked for that needs an optional package; the message says how to install it."""
 
 
-class BuildStoppedError(SpreadletsError):
+class StoppedError(SpreadletsError):
+    """Work stopped before its end, since the cluster is lost; what is finished is kept, and the same call goes on."""
+
+
+class BuildStoppedError(StoppedError):
     """A build stopped before its end: no room, a worker or the cluster lost, or another build at work.
 
     Its finished cells are kept, and the same build goes on from them.
     """
+
+
+class WorkerLostError(SpreadletsError):
+    """One worker after the other died on a piece of work: killed, or out of memory."""
+
+
+class MissingServerError(SpreadletsError):
+    """No warm process answers where one was said to be."""
 
 
 class AmbiguousInputWarning(UserWarning):
@@ -72,6 +84,11 @@ def option(name: str) -> str:
     'depth_channel'
     """
     return _SPELLING.get()(name)
+
+
+def spelling() -> Callable[[str], str]:
+    """Return how options are spelled now, for `options_spelled` in another process."""
+    return _SPELLING.get()
 
 
 @contextmanager

@@ -151,9 +151,45 @@ class Renderer:
             )
         camera = self._focused(camera, chosen)
         _warn(frame_doubts(self.frame, camera))
-        image, figures = self._synthesized(camera, chosen, clock)
+        (image,), figures = self._synthesized([], camera, chosen, clock)
         image = self._shown = self._cut(image, chosen)
         return (image, figures) if report else image
+
+    def render_all(
+        self, further: Sequence[Frame], camera: ThinLens, clock: Clock | None = None, **options: Unpack[RenderOptions]
+    ) -> tuple[list[Image], Report]:
+        """Return the frame and others that differ from it in their colours only, all drawn by its plan.
+
+        Parameters
+        ----------
+        further : sequence of Frame
+            Such as `Frame.coloured` makes: elements of its picture.
+        camera, clock, options
+            As for `render`.
+
+        Returns
+        -------
+        images : list of ndarray of shape (H, W, 4), float32
+            That of the frame first.
+        report : Report
+            With the figures of the frame.
+
+        Raises
+        ------
+        InvalidParameterError
+            As `render` does; or if there are further frames, and the renderer takes what is hidden from others.
+        """
+        from spreadlets.runtime.options import Options
+
+        if further and self._neighbours:
+            raise InvalidParameterError("hidden_from is of one frame: draw further ones by renderers of their own")
+        chosen = Options.of(**options)
+        camera = self._focused(camera, chosen)
+        _warn(frame_doubts(self.frame, camera))
+        images, figures = self._synthesized(further, camera, chosen, clock)
+        images = [self._cut(image, chosen) for image in images]
+        self._shown = images[0]
+        return images, figures
 
     def raster(self, **options: Unpack[RenderOptions]) -> Raster:
         """Return where the pixels of an image lie that `render` makes with these options."""
@@ -257,29 +293,34 @@ class Renderer:
         Picture.fromarray(encoded).save(file, "PNG", compress_level=1)
         return file.getvalue()
 
-    def _synthesized(self, camera: ThinLens, options: Options, clock: Clock | None) -> tuple[Image, Report]:
-        """Return the whole image of a proxy, with what is held out put before it."""
+    def _synthesized(
+        self, further: Sequence[Frame], camera: ThinLens, options: Options, clock: Clock | None
+    ) -> tuple[list[Image], Report]:
+        """Return the whole images of proxies, with what is held out put before them."""
         from spreadlets.runtime import render
 
-        frame, mask, chosen = self._proxy(options.proxy), None, options
+        whole = [self._proxy(options.proxy), *(smaller(each, options.proxy) for each in further)]
+        frames, mask, chosen = whole, None, options
         if options.mask is not None:
-            whole = frame
-            mask = means(checked_mask(options.mask, self.frame), whole.shape)
-            frame = without(whole, mask)
+            mask = means(checked_mask(options.mask, self.frame), whole[0].shape)
+            frames = [without(each, mask) for each in whole]
         if options.max_coc is not None:
             options = replace(options, max_coc=options.max_coc * options.proxy)
         with self._lock:
-            database = self._open(options.motion and any(layer.has_motion for layer in frame.layers))
+            database = self._open(options.motion and any(layer.has_motion for layer in frames[0].layers))
         try:
             psfs = full_psfs(database, options)
             neighbours = [smaller(each, options.proxy) for each in self._neighbours]
-            image, figures = render.synthesize(frame, camera, database, options, clock, *psfs, self._split, neighbours)
+            given = (*psfs, self._split, neighbours)
+            images, figures = render.synthesize_all(frames, camera, database, options, clock, *given)
         except LeftOutError as error:
             if self._bokeh is None:
                 raise
             self._build(self._bokeh, database, error.places)
-            return self._synthesized(camera, chosen, clock)
-        return (image if mask is None else put_before(image, whole, mask)), figures
+            return self._synthesized(further, camera, chosen, clock)
+        if mask is not None:
+            images = [put_before(image, each, mask) for image, each in zip(images, whole, strict=True)]
+        return images, figures
 
     def _proxy(self, share: float) -> Frame:
         with self._lock:
@@ -310,7 +351,9 @@ class Renderer:
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
         if options.focus_at is None:
             return camera
-        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at))
+        still = [replace(key, focus_distance_m=None) for key in camera.keys]
+        keys = tuple(key for key in still if (key.focal_length_mm, key.f_number) != (None, None))
+        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at), keys=keys)
 
     def _open(self, moving: bool) -> Database:
         """Return the database, opened if it is not."""

@@ -1,5 +1,11 @@
+import json
+import subprocess
+import sys
+import time
+
 import pytest
 
+from spreadlets import workers
 from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.build.build import build_database
 from spreadlets.psf.database import open_database
@@ -20,3 +26,31 @@ def small_combined_path(tmp_path_factory):
 def small_combined(small_combined_path):
     with open_database(small_combined_path) as database:
         yield database
+
+
+START_S = 120.0
+"""How long a scheduler may take to start on a busy machine."""
+
+
+def dask(*arguments, folder):
+    command = [sys.executable, "-m", "dask", *arguments, "--scheduler-file", str(folder / "scheduler.json")]
+    return subprocess.Popen([*command, "--no-dashboard"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch):
+    """Give the address of a scheduler, its process, and those of two workers."""
+    monkeypatch.setattr(workers, "CONNECT_S", START_S)
+    monkeypatch.setattr(workers, "RECONNECT_S", 1.0)
+    scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", "0", folder=tmp_path)
+    processes = [scheduler]
+    try:
+        end = time.monotonic() + START_S
+        while not (tmp_path / "scheduler.json").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        processes += [dask("worker", "--nthreads", "1", "--no-nanny", folder=tmp_path) for _ in range(2)]
+        yield json.loads((tmp_path / "scheduler.json").read_text())["address"], processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()

@@ -30,7 +30,7 @@ def test_modules_and_folders_that_are_named_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_commands_in_examples_know_the_options_they_are_given(page):
-    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ").replace("spreadlets send ", "spreadlets ")
     for name, rest in re.findall(r"^    spreadlets (\w+)(.*)$", text, re.MULTILINE):
         known = {option for parameter in cli.commands[name].params for option in parameter.opts}
         assert set(re.findall(r"\s(--?[a-z][\w-]*)", rest.split("  #")[0])) <= known, (name, rest)

@@ -15,6 +15,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 ORDER = (
     {"errors", "arrays", "version"},
     {"compiled", "parallel", "packages", "remembered", "runtime.controls"},
+    {"workers", "serve"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},
@@ -26,7 +27,7 @@ ORDER = (
     {"full_psfs", "bokeh"},
     {"renderer"},
     {"api"},
-    {"reports", "warmup", "view", "photograph"},
+    {"jobs", "reports", "warmup", "view", "photograph"},
     {"cli"},
 )
 """The order of the tree, stated once: what stands in a row may import only from rows above it."""

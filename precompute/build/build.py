@@ -1,6 +1,6 @@
 """Building a database: every cell and pose traced and sparsified by workers, resumable, extendable.
 
-Workers compute (`precompute.build.workers`), this process alone writes: finished cells into a folder
+Workers compute (`spreadlets.workers`), this process alone writes: finished cells into a folder
 (`precompute.build.parts`), and in the end all of them into the database, which appears whole.
 """
 
@@ -16,20 +16,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from spreadlets.errors import BuildStoppedError, InvalidParameterError
+from spreadlets.errors import BuildStoppedError, InvalidParameterError, WorkerLostError
 from spreadlets.models import option_names
 from spreadlets.precompute.build.between_cells import FindSpreadlet, between_cells
 from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
 from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
 from spreadlets.precompute.build.progress import BuildProgress, Progress
-from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, plan_units
-from spreadlets.precompute.build.workers import AGAIN, open_workers
+from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, WorkUnit, build_unit, plan_units
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, check_sparsifier
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.version import __version__
+from spreadlets.workers import AGAIN, Compute, open_workers
 
 MAX_SAMPLES = 100_000
 
@@ -241,15 +241,29 @@ def _compute_missing(
     """Compute the cells that have no part yet, storing each as soon as all its poses are there."""
     tasks = [task for task in tasks if task.poses]
     missing = {task.cell: task for task in tasks if not parts.has(task)}
-    with open_workers(jobs or os.cpu_count() or 1, scheduler) as (n_workers, compute):
+    with open_workers(jobs or os.cpu_count() or 1, scheduler, BuildStoppedError) as (n_workers, compute):
         units = plan_units(list(missing.values()), n_workers)
         cost = sum(unit.cost for unit in units)
         shown = BuildProgress(len(tasks), len(tasks) - len(missing), cost, log, progress)
-        results = compute(units) if units else iter(())
-        for cell, finished in _cells(results, missing, shown):
+        for cell, finished in _cells(_results(compute, units), missing, shown):
             parts.store(missing[cell], [record for each in finished for _, record in sorted(each.records.items())])
             shown.finished(cell, sum(each.seconds for each in finished))
     return shown
+
+
+def _results(compute: Compute, units: list[WorkUnit]) -> Iterator[UnitResult]:
+    """Yield the results of units; what went wrong with one stops the build."""
+    for unit, result in compute(build_unit, units):
+        if isinstance(result, WorkerLostError):
+            raise BuildStoppedError(f"cell {unit.cell}: {result}; {AGAIN}") from result
+        if isinstance(result, Exception):
+            raise result
+        if result.algorithm_version != ALGORITHM_VERSION:
+            raise BuildStoppedError(
+                f"a worker of the cluster has version {result.algorithm_version} of the algorithm, this program "
+                f"{ALGORITHM_VERSION}: install the same spreadlets everywhere; {AGAIN}"
+            )
+        yield result
 
 
 def _cells(

@@ -6,7 +6,6 @@ of workers, in any order, in one run or in several.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,9 +33,6 @@ COST_EXPONENT = 0.7
 
 LEAST_COST = 10.0
 """Cost of the smallest PSF: even that takes some milliseconds."""
-
-_ONE_AT_A_TIME = threading.Lock()
-"""A worker of a cluster may have several threads, but the number of kernels' threads is one for the process."""
 
 
 class CellTask(NamedTuple):
@@ -100,7 +96,7 @@ class UnitResult(NamedTuple):
 
 def build_unit(unit: WorkUnit) -> UnitResult:
     """Trace and sparsify the poses of a unit; the result depends on the unit alone."""
-    with _ONE_AT_A_TIME, single_threaded():
+    with single_threaded():
         begin = time.process_time()
         records = {number: _build_record(unit, number, angle, side) for number, angle, side in unit.poses}
         return UnitResult(unit.cell, records, time.process_time() - begin, unit.cost, ALGORITHM_VERSION)

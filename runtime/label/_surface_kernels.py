@@ -28,6 +28,8 @@ LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
 """Deviation of a surface's colour: at least so much, and so much of itself."""
 LAMP_RATIO = 4.0
 """How many times as bright as usual a surface's pixel may be before it is taken to show something else."""
+SAME_SURFACE = 1.0
+"""Difference of places, px, below which a pixel is taken to show the surface of another: that of a gap."""
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
 
@@ -417,3 +419,49 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
             _divide(radiance[row, col], mean, variance, each, count, colours[row, col])
             source[row, col, 0, 0], source[row, col, 0, 1] = row, col
     return mixed
+
+
+@kernel
+def recolour_surfaces(begin, end, radiance, place, share, colours):
+    """Divide other colours of mixed pixels among surfaces that are known, their shares too.
+
+    A surface's colour is the mean over the pixels around that show little else; what is then missing of the pixel's is
+    given to its surfaces by their shares. None gets less than 0.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+        The other colours.
+    place : ndarray of shape (n, H, W), float32
+        Where the pixel's surfaces lie in depth, as CoC radii, px.
+    share : ndarray of shape (n, H, W), float32
+        Their coverages.
+    colours : ndarray of shape (n, H, W, 4), float32
+        Filled; with the pixel's colours where it is not mixed.
+    """
+    n, height, width = share.shape
+    own, mean, variance = np.empty(n), np.zeros((MOST, 4)), np.ones((MOST, 4))
+    for row in range(begin, end):
+        for col in range(width):
+            for s in range(n):
+                colours[s, row, col] = radiance[row, col]
+                own[s] = share[s, row, col]
+            if own[0] == 1.0:
+                continue
+            # Average each surface over the pixels around that it fills.
+            for s in range(n):
+                total = 1e-9
+                for c in range(4):
+                    mean[s, c] = total * radiance[row, col, c]
+                for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
+                    for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
+                        if abs(place[0, i, j] - place[s, row, col]) >= SAME_SURFACE or own[s] == 0.0:
+                            continue
+                        near = 1.0 / (1.0 + 0.25 * ((i - row) ** 2 + (j - col) ** 2))
+                        weight = near * np.float64(share[0, i, j]) ** PURITY_POWER
+                        total += weight
+                        for c in range(4):
+                            mean[s, c] += weight * radiance[i, j, c]
+                mean[s] /= total
+            # Divide what is missing.
+            _divide(radiance[row, col], mean, variance, own, n, colours[:, row, col])

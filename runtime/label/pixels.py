@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,14 +13,12 @@ from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.label.lists import Pixels, joined, listed
 from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, curved_places, in_time, rolled, zoomed
-from spreadlets.runtime.label.surfaces import Surface, split_surfaces
+from spreadlets.runtime.label.surfaces import Split, split_surfaces
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
 
-Split = Callable[[Layer, ThinLens], Iterable[Surface]]
-"""Divides the mixed pixels of a layer between their surfaces."""
 Labelled = tuple[Layer, Pixels]
 """A surface of all pixels of a frame, with their labels and weights."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from threading import Lock
 from typing import Any
@@ -26,6 +26,8 @@ MOST_KEPT_PIXELS = 1 << 24
 
 Surface = tuple[Layer, Image | None]
 """A layer that holds one surface of every pixel, and its share of the pixels."""
+Split = Callable[[Layer, ThinLens], Iterable[Surface]]
+"""Divides the mixed pixels of a layer between their surfaces."""
 
 
 def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
@@ -104,8 +106,10 @@ class KeptSurfaces:
         self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
         self._lock = Lock()
 
-    def __call__(self, layer: Layer, camera: ThinLens) -> Sequence[Surface]:
-        """Return the surfaces of a layer, see `split_surfaces`."""
+    def __call__(self, layer: Layer, camera: ThinLens) -> Iterable[Surface]:
+        """Return the surfaces of a layer, see `split_surfaces`; those of a very large one are not kept."""
+        if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
+            return split_surfaces(layer, camera)
         key = id(layer), _scale(layer, camera)
         with self._lock:
             if key in self._kept:
@@ -120,6 +124,36 @@ class KeptSurfaces:
                 self._kept.popitem(last=False)
                 n_pixels.pop(0)
         return found
+
+
+class SharedSurfaces:
+    """Splits the first layer that it is given, and others that differ in their colours only among the same surfaces.
+
+    Parameters
+    ----------
+    split : callable
+        Splits the first.
+    """
+
+    def __init__(self, split: Split) -> None:
+        self._split, self._surfaces = split, list[Surface]()
+
+    def __call__(self, layer: Layer, camera: ThinLens) -> list[Surface]:
+        """Return the surfaces of a layer."""
+        if not self._surfaces:
+            self._surfaces = list(self._split(layer, camera))
+            return self._surfaces
+        shares = [share for _, share in self._surfaces if share is not None]
+        if not shares:
+            return [(replace(surface, radiance=layer.radiance), None) for surface, _ in self._surfaces]
+        place = np.stack([places(surface, camera) for surface, _ in self._surfaces])
+        colours = np.empty((*place.shape, 4), np.float32)
+        given = layer.radiance, place, np.stack(shares)
+        for_bands(_surface_kernels.recolour_surfaces, place.shape[1], *given, colours)
+        return [
+            (replace(surface, radiance=shown), share)
+            for (surface, share), shown in zip(self._surfaces, colours, strict=True)
+        ]
 
 
 def depth_is_filtered(place: Image) -> bool:

@@ -55,8 +55,13 @@ class _Pass(NamedTuple):
     blur: Image
 
 
-def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Labelled | None = None) -> Behind:
-    """Find the hidden surfaces of a frame.
+def find_behind(
+    surfaces: Sequence[Labelled],
+    layering: Layering,
+    elsewhere: Labelled | None = None,
+    further: Sequence[Sequence[Labelled]] = (),
+) -> list[Behind]:
+    """Find the hidden surfaces of a frame, and of further ones whose surfaces differ in their colours only.
 
     Parameters
     ----------
@@ -65,13 +70,21 @@ def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Lab
     layering : Layering
         Its depth layers.
     elsewhere : (layer, pixels), optional
-        What neighbouring frames show behind each pixel, with weight 0 where they show nothing.
+        What neighbouring frames show behind each pixel, with weight 0 where they show nothing; only of a frame alone.
+    further : sequence of sequences of (layer, pixels)
+        What is hidden in them is copied from the same places.
     """
+    # What is hidden: layer, share of the pixel, and features of each frame; and the layers in which pixels are known.
     first, passes = surfaces[0][0], [_pass_of(each, layering) for each in surfaces]
     shape, n_features = first.shape, 4 + len(first.depths) + 2 * len(first.motions)
-    hidden = np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros((*shape, n_features), np.float32)
+    frames = [surfaces, *further]
+    hidden = [
+        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros((*shape, n_features), np.float32))
+        for _ in frames
+    ]
     corner = surfaces[0][1].labels.view.corner
-    nearer, reach, known = *np.zeros((2, *shape), np.float32), np.ones(shape, np.uint64)
+    nearer, reach = np.zeros((2, *shape), np.float32)
+    known = [np.ones(shape, np.uint64) for _ in frames]
     for number in range(layering.n_layers):
         cover, sums, hidden_reach = np.zeros(shape, np.float32), np.zeros((shape[0], 3)), reach.copy()
         for each in passes:
@@ -80,19 +93,31 @@ def find_behind(surfaces: Sequence[Labelled], layering: Layering, elsewhere: Lab
             if elsewhere is not None:
                 there = _pass_of(elsewhere, layering)
                 given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
-                for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden, known)
+                for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden[0], known[0])
             gap, unlike = _choose(nearer, cover, hidden_reach, sums, corner)
             if (unlike >= 0.0).any():
-                shown = np.zeros((*shape, n_features + 1), np.float32)
-                for each, (layer, _) in zip(passes, surfaces, strict=True):
-                    labels = layer.depths, layer.motions
-                    for_bands(_behind_kernels.add_features, shape[0], *each, *labels, number, shown)
+                shown = _features(passes, surfaces, number, n_features)
                 places = _places(nearer, shown, corner, unlike)
-                for_bands(
-                    _behind_kernels.find_behind, shape[0], nearer, shown, gap, corner, *places, number, hidden, known
-                )
+                for index, frame in enumerate(frames):
+                    # The same places, in the frame's own colours.
+                    own = _features(passes, frame, number, n_features) if index else shown
+                    found = number, hidden[index], known[index]
+                    for_bands(_behind_kernels.find_behind, shape[0], nearer, own, gap, corner, *places, *found)
         nearer += cover
-    return Behind(with_features(first, hidden[2]), hidden[1], known)
+    return [
+        Behind(with_features(first, features), share, own)
+        for (_, share, features), own in zip(hidden, known, strict=True)
+    ]
+
+
+def _features(passes: Sequence[_Pass], surfaces: Sequence[Labelled], number: int, n_features: int) -> Image:
+    """Return what the surfaces of a frame show of a layer, see the kernel."""
+    shape = surfaces[0][0].shape
+    shown = np.zeros((*shape, n_features + 1), np.float32)
+    for each, (layer, _) in zip(passes, surfaces, strict=True):
+        given = each._replace(radiance=layer.radiance)
+        for_bands(_behind_kernels.add_features, shape[0], *given, layer.depths, layer.motions, number, shown)
+    return shown
 
 
 def _pass_of(surface: Labelled, layering: Layering) -> _Pass:

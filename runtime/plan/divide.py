@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import Split, frame_surfaces, hidden_pixels, labelled, surface_pixels
+from spreadlets.runtime.label.pixels import frame_surfaces, hidden_pixels, labelled, surface_pixels
 from spreadlets.runtime.label.reprojection import reproject
-from spreadlets.runtime.label.surfaces import split_surfaces
+from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, MOST_LAYERS
 from spreadlets.runtime.plan.behind import find_behind
 from spreadlets.runtime.plan.layering import Layering
@@ -25,8 +25,8 @@ class Divided(NamedTuple):
 
     Attributes
     ----------
-    pixel_sets : list of Pixels
-        What is seen, then a list of what is hidden, if there is anything.
+    pixel_sets : list of lists of Pixels
+        Of each frame what is seen, then a list of what is hidden, if there is anything.
     n_hidden : int
         1 if there is such a list, else 0.
     layering : Layering
@@ -35,14 +35,14 @@ class Divided(NamedTuple):
         Bits of the layers in which each pixel is known, see `runtime.plan.behind.Behind`.
     """
 
-    pixel_sets: list[Pixels]
+    pixel_sets: list[list[Pixels]]
     n_hidden: int
     layering: Layering
     known: npt.NDArray[np.uint64]
 
 
-def divide_frame(
-    layer: Layer,
+def divide_frames(
+    layers: Sequence[Layer],
     camera: ThinLens,
     effects: Effects,
     *,
@@ -51,11 +51,12 @@ def divide_frame(
     split: Split = split_surfaces,
     neighbours: Sequence[Layer] = (),
 ) -> Divided:
-    """Divide a frame of one layer by depth, and find what is hidden in it.
+    """Divide frames of one layer by depth, all as the first, and find what is hidden in them.
 
     Parameters
     ----------
-    layer : Layer
+    layers : sequence of Layer
+        They differ in their colours only.
     camera : ThinLens
     effects : Effects
     most : int
@@ -65,25 +66,28 @@ def divide_frame(
     split : callable
         Divides mixed pixels between their surfaces.
     neighbours : sequence of Layer
-        The frames right before or after, see `runtime.label.reprojection.reproject`.
+        The frames right before or after that of a single layer, see `runtime.label.reprojection.reproject`.
     """
     # Divide what is seen into depth layers.
-    surfaces = frame_surfaces(layer, camera, effects, split)
-    seen = surface_pixels(surfaces, camera, effects)
-    drawn = [(each.labels, _drawn(each)) for each in seen]
+    shared = SharedSurfaces(split)
+    surfaces, *further = (frame_surfaces(each, camera, effects, shared) for each in layers)
+    seen = [surface_pixels(each, camera, effects) for each in (surfaces, *further)]
+    drawn = [(each.labels, _drawn(each)) for each in seen[0]]
     layering = Layering.fitted(drawn[:1], most, softness, drawn[1:])
     if layering.n_layers == 1:
-        return Divided(seen, 0, layering, np.ones(layer.shape, np.uint64))
+        return Divided(seen, 0, layering, np.ones(layers[0].shape, np.uint64))
     # Find what nearer ones hide of each.
     elsewhere = None
     if neighbours:
-        farther, there = reproject(layer, neighbours, camera)
+        farther, there = reproject(layers[0], neighbours, camera)
         elsewhere = labelled(farther, there, camera, effects)
-    behind = find_behind(surfaces, layering, elsewhere)
-    if not behind.share.any():
-        return Divided(seen, 0, layering, behind.known)
-    hidden = hidden_pixels(labelled(behind.layer, behind.share, camera, effects), camera, effects, seen[0].radiance)
-    return Divided([*seen, hidden], 1, layering, behind.known)
+    behind = find_behind(surfaces, layering, elsewhere, further)
+    if not behind[0].share.any():
+        return Divided(seen, 0, layering, behind[0].known)
+    for sets, each in zip(seen, behind, strict=True):
+        hidden = labelled(each.layer, behind[0].share, camera, effects)
+        sets.append(hidden_pixels(hidden, camera, effects, sets[0].radiance))
+    return Divided(seen, 1, layering, behind[0].known)
 
 
 def _drawn(pixels: Pixels) -> npt.NDArray[np.int32]:

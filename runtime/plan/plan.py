@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan._plan_kernels import GridTables, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_colours, extended_pass
-from spreadlets.runtime.plan.divide import divide_frame
+from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import merge_blocks
@@ -71,6 +72,8 @@ class Plan:
         Row and column of the first pixel, counted from the picture's centre.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
+    lay_out : callable
+        Makes the sources, and their bound, of pixels with these labels and whatever colours.
     left_out : list of str
         What is not needed.
     """
@@ -83,8 +86,13 @@ class Plan:
     cells_used: set[int]
     pixels_skipped: int
     corner: tuple[int, int]
+    lay_out: Callable[[Sequence[Pixels]], tuple[list[list[SplatPass]], float]]
     error_bound: float = 0.0
     left_out: list[str] = field(default_factory=list)
+
+    def coloured(self, pixel_sets: Sequence[Pixels]) -> Plan:
+        """Return the plan of pixels that differ from those that it was made for in their colours only."""
+        return replace(self, sources=self.lay_out(pixel_sets)[0])
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
@@ -147,7 +155,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     effects = Effects(defocus=True, motion=True, swept=grid.model.has_motion)
     for layer in frame.layers:
         if len(frame.layers) == 1:
-            pixel_sets = divide_frame(layer, camera, effects).pixel_sets
+            pixel_sets = divide_frames([layer], camera, effects).pixel_sets[0]
         else:
             pixel_sets = surface_pixels(frame_surfaces(layer, camera, effects, split_surfaces), camera, effects)
         for pixels in pixel_sets:
@@ -203,10 +211,16 @@ def plan_pixels(
     n_layers, found = layering.n_layers, zip(pixel_sets, chosen.indices, strict=True)
     members = [layering.members(each.labels, index) for each, index in found]
     # Lay out what each layer draws.
-    tolerance = 0.0 if dense_psf else options.tolerance
-    sources, error_bound = _lay_out(
-        pixel_sets, chosen, members, n_layers, tolerance, border=border, stochastic=stochastic
+    lay_out = partial(
+        _lay_out,
+        chosen=chosen,
+        members=members,
+        n_layers=n_layers,
+        tolerance=0.0 if dense_psf else options.tolerance,
+        border=border,
+        stochastic=stochastic,
     )
+    sources, error_bound = lay_out(pixel_sets)
     # Record what is drawn, and what needs no work.
     plan = Plan(
         sources=sources,
@@ -217,6 +231,7 @@ def plan_pixels(
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
         pixels_skipped=_count_skipped(pixel_sets, chosen.indices),
         corner=pixel_sets[0].labels.view.corner,
+        lay_out=lay_out,
         error_bound=error_bound,
     )
     plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
@@ -273,11 +288,11 @@ def _divide(
 
 def _lay_out(
     pixel_sets: Sequence[Pixels],
+    *,
     chosen: _Choice,
     members: list[Membership],
     n_layers: int,
     tolerance: float,
-    *,
     border: bool,
     stochastic: bool,
 ) -> tuple[list[list[SplatPass]], float]:

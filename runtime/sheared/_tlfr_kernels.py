@@ -102,13 +102,18 @@ class Near(NamedTuple):
     Attributes
     ----------
     number : ndarray of shape (M,), int64
+    depth : ndarray of shape (M,), float32
     offset : ndarray of shape (M, 2), float32
         x, y from the place, px.
+    path : ndarray of shape (M, 5), float32
+        As of `Trajectories`.
     begin : ndarray of shape (M + 1,), int64
     """
 
     number: npt.NDArray[np.int64]
+    depth: FloatArray
     offset: FloatArray
+    path: FloatArray
     begin: npt.NDArray[np.int64]
 
 
@@ -207,23 +212,25 @@ def fetch(grid, x, y, radius, near):
 
 
 @helper
-def sort_by_depth(depth, near, n):
-    """Bring samples into order from near to far, those at the same depth by number: Shell's method."""
+def sort_by_depth(trajectories, near, n):
+    """Bring samples into order from near to far, those at the same depth by number, by Shell's method; take paths."""
+    for k in range(n):
+        near.depth[k] = trajectories.depth[near.number[k]]
     gap = n // 2
     while gap > 0:
         for i in range(gap, n):
-            number, x, y = near.number[i], near.offset[i, 0], near.offset[i, 1]
+            number, depth, x, y = near.number[i], near.depth[i], near.offset[i, 0], near.offset[i, 1]
             k = i - gap
-            while k >= 0:
-                other = near.number[k]
-                if depth[other] < depth[number] or (depth[other] == depth[number] and other < number):
-                    break
-                near.number[k + gap] = other
+            while k >= 0 and (near.depth[k] > depth or (near.depth[k] == depth and near.number[k] > number)):
+                near.number[k + gap], near.depth[k + gap] = near.number[k], near.depth[k]
                 near.offset[k + gap, 0], near.offset[k + gap, 1] = near.offset[k, 0], near.offset[k, 1]
                 k -= gap
-            near.number[k + gap] = number
+            near.number[k + gap], near.depth[k + gap] = number, depth
             near.offset[k + gap, 0], near.offset[k + gap, 1] = x, y
         gap //= 2
+    for k in range(n):
+        for j in range(5):
+            near.path[k, j] = trajectories.path[near.number[k], j]
 
 
 @helper
@@ -236,13 +243,15 @@ def cross(one, other, half_shutter, tolerance):
     """
     dx, dy = one[0] - other[0], one[1] - other[1]
     mx, my = (one[3] - other[3]) * half_shutter, (one[4] - other[4]) * half_shutter
+    coc = max(abs(one[2] - other[2]) - tolerance, np.float32(0))
+    # Most are too far apart for either.
+    far = abs(mx) + abs(my) + coc
+    if dx * dx + dy * dy >= far * far:
+        return False
     # From opening to closing: do they change sides?
     if (dx - mx) * (dx + mx) + (dy - my) * (dy + my) < -tolerance * tolerance:
         return True
     # The nearest that they come to each other.
-    coc = abs(one[2] - other[2]) - tolerance
-    if coc <= np.float32(0):
-        return False
     squared = mx * mx + my * my
     t = np.float32(0)
     if squared > np.float32(0):
@@ -267,7 +276,7 @@ def are_alike(path, near, n, half_shutter, tolerance):
 
 
 @helper
-def divide(path, near, n, half_shutter, tolerance):
+def divide(near, n, half_shutter, tolerance):
     """Divide samples, sorted from near to far, into surfaces: one begins where a trajectory crosses one before it.
 
     Returns the number of surfaces; ``near.begin`` says where each begins, and where the last ends.
@@ -275,9 +284,8 @@ def divide(path, near, n, half_shutter, tolerance):
     near.begin[0] = 0
     n_surfaces = 1
     for k in range(1, n):
-        one = path[near.number[k]]
         for earlier in range(near.begin[n_surfaces - 1], k):
-            if cross(path[near.number[earlier]], one, half_shutter, tolerance):
+            if cross(near.path[earlier], near.path[k], half_shutter, tolerance):
                 near.begin[n_surfaces] = k
                 n_surfaces += 1
                 break
@@ -399,16 +407,16 @@ def add_view(x, y, radius, trajectories, views, grid, near, sums):
         if are_alike(path, near, n, half_shutter, tolerance):
             add_surface(trajectories, near, 0, n, radius, views.near, sums)
             return
-        sort_by_depth(trajectories.depth, near, n)
-        n_surfaces = divide(path, near, n, half_shutter, tolerance)
+        sort_by_depth(trajectories, near, n)
+        n_surfaces = divide(near, n, half_shutter, tolerance)
         if n_surfaces == 1 or fills_quadrants(near.offset, 0, near.begin[1]):
             add_surface(trajectories, near, 0, near.begin[1], radius, views.near, sums)
             return
     n = fetch(grid, x, y, np.float32(2) * radius, near)
     if n == 0:
         return
-    sort_by_depth(trajectories.depth, near, n)
-    n_surfaces = merge_small(near, divide(path, near, n, half_shutter, tolerance))
+    sort_by_depth(trajectories, near, n)
+    n_surfaces = merge_small(near, divide(near, n, half_shutter, tolerance))
     for k in range(n_surfaces):
         begin, end = near.begin[k], near.begin[k + 1]
         if k == n_surfaces - 1 or covers(near.offset, begin, end, radius):
@@ -469,7 +477,13 @@ def gather_tile(trajectories, views, inner, sums, first_row):
     size = np.float32(max(radius.min() / CELLS_PER_RADIUS, max(box[2] - box[0], box[3] - box[1]) / MOST_CELLS))
     grid = empty_grid(box, size, n_samples)
     spare = np.empty(n_samples, np.int64), np.empty(n_samples, np.int64), np.empty((n_samples, 2), np.float32)
-    near = Near(np.empty(n_samples, np.int64), np.empty((n_samples, 2), np.float32), np.empty(n_samples + 1, np.int64))
+    near = Near(
+        np.empty(n_samples, np.int64),
+        np.empty(n_samples, np.float32),
+        np.empty((n_samples, 2), np.float32),
+        np.empty((n_samples, 5), np.float32),
+        np.empty(n_samples + 1, np.int64),
+    )
     # View by view: move all samples once, then gather for the pixels that take this view.
     for pattern in range(views.place.shape[0]):
         for k in range(views.place.shape[1]):

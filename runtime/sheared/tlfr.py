@@ -18,7 +18,7 @@ from spreadlets.runtime.sheared._tile_kernels import N_SUMS
 from spreadlets.runtime.sheared._tlfr_kernels import Trajectories, Views
 from spreadlets.runtime.sheared.method import Counter, Progress
 from spreadlets.runtime.sheared.samples import Samples
-from spreadlets.runtime.sheared.tiles import DEFAULT_TILE, Tiling
+from spreadlets.runtime.sheared.tiles import Tiling
 
 DEFAULT_VIEWS = 64
 """Of each pixel; TLFR takes 128, and so does SLR in its comparison (section 7)."""
@@ -45,6 +45,8 @@ STRIP = 64
 """Rows of the image that are filtered at a time."""
 LEAST_SIGMA = 1e-3
 """px: a filter of one pixel."""
+DEFAULT_TILE_OF_VIEWS = 64
+"""px: all samples around a tile are moved for each view, so larger tiles move fewer."""
 SIDE_OF_PATTERNS = 4
 """px: each square of this side has every pattern of views once."""
 GROUP = 32
@@ -79,7 +81,7 @@ class Tlfr:
     dispersion: float = DEFAULT_DISPERSION
     tolerance: float = DEFAULT_TOLERANCE
     softness: float = DEFAULT_SOFTNESS
-    tile: int = DEFAULT_TILE
+    tile: int = DEFAULT_TILE_OF_VIEWS
 
     def __post_init__(self) -> None:
         for name, value, low, high in (

@@ -9,7 +9,7 @@ from typing import Any
 import click
 import cloup
 
-from spreadlets.cli.options import camera_of, camera_options, input_options, json_option, take_camera, take_reading
+from spreadlets.cli.options import camera_options, input_options, json_option, take_camera, take_reading
 from spreadlets.cli.show import print_figures, progress_bar
 
 _DATABASE_SUFFIXES = (".h5", ".hdf5")
@@ -73,6 +73,7 @@ def build(
     Example: spreadlets build physicallens -o gauss.h5 --lens double_gauss --camera camera.json --width 1024
     """
     from spreadlets.api import build_database
+    from spreadlets.files.cameras import camera_of
     from spreadlets.files.exr_frames import read_frame
     from spreadlets.files.outputs import check_outputs
     from spreadlets.files.recognise import ReadOptions
@@ -160,7 +161,7 @@ def _no_frame(path: str) -> str:
 
 def _frame_info(path: str, camera: str | None, options: dict[str, Any]) -> dict[str, Any]:
     from spreadlets.errors import InvalidCameraError
-    from spreadlets.files.cameras import frame_camera
+    from spreadlets.files.cameras import camera_of, frame_camera
     from spreadlets.files.exr_file import ExrFile
     from spreadlets.files.inspect import frame_info
     from spreadlets.files.recognise import ReadOptions

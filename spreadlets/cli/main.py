@@ -10,10 +10,8 @@ from typing import Any
 import click
 import cloup
 
-from spreadlets.cli import databases, photo, render, reports, setup, view
-from spreadlets.cli.options import spelled
-from spreadlets.cli.status import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_INTERRUPTED
-from spreadlets.errors import BuildStoppedError, SpreadletsError, options_spelled
+from spreadlets.cli import databases, photo, render, reports, serve, setup, view
+from spreadlets.cli.run import run
 from spreadlets.version import __version__
 
 
@@ -29,6 +27,7 @@ def cli() -> None:
 cli.section("Make images", render.synth, render.reconstruct, photo.photo)
 cli.section("Look", view.view)
 cli.section("Databases and files", databases.build, databases.info)
+cli.section("For other programs", serve.serve, serve.send)
 cli.section("Set up", setup.warmup)
 cli.section("Judge", reports.compare, reports.demo, reports.bench, reports.stability, render.tune)
 
@@ -46,30 +45,12 @@ class _Notices(logging.Handler):
 
 
 def main() -> None:
-    """Run the command line; errors of the caller's become one line and exit status 2."""
-    # Warnings and notices become lines on standard error.
+    """Run the command line; warnings and notices become lines on standard error."""
     warnings.showwarning = _show_warning
     logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
     logging.getLogger("spreadlets").setLevel(logging.INFO)
-    try:
-        with options_spelled(spelled):
-            cli.main(standalone_mode=False)
-    # Who can mend an error decides its first word and the exit status.
-    except click.exceptions.Abort:
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
-    except click.ClickException as error:
-        click.echo(f"error: {error.format_message()}", err=True)
-        sys.exit(EXIT_BAD_INPUT)
-    except BuildStoppedError as error:
-        click.echo("stopped: " + " ".join(str(error).split()), err=True)
-        sys.exit(EXIT_FAILURE)
-    except SpreadletsError as error:
-        click.echo("error: " + " ".join(str(error).split()), err=True)
-        sys.exit(EXIT_BAD_INPUT)
-    except Exception as error:
-        click.echo(f"failed: {type(error).__name__}: {' '.join(str(error).split())}", err=True)
-        sys.exit(EXIT_FAILURE)
+    if status := run(cli, sys.argv[1:]):
+        sys.exit(status)
 
 
 if __name__ == "__main__":

@@ -136,37 +136,6 @@ def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in taken.items() if value is not None}
 
 
-def camera_of(path: str | None, values: dict[str, Any], frame: Any = None, scene_scale: float = 1.0) -> Any:
-    """Return the camera of a file and single values; without a file, of what the frame itself carries.
-
-    Parameters
-    ----------
-    path : str or None
-        The camera's file.
-    values : dict
-        Single values, which override.
-    frame : str or ExrFile, optional
-        The frame's file.
-    scene_scale : float
-        Metres of the frame's unit.
-
-    Raises
-    ------
-    InvalidCameraError
-        If they do not make a camera.
-    """
-    from spreadlets.files.cameras import frame_camera, read_camera
-
-    if path is None and frame is not None:
-        carried = frame_camera(frame, scene_scale)
-        if not carried and not values:
-            raise click.UsageError(
-                "no camera: give --camera FILE, or --focal-length, --f-number and --focus; the frame carries none"
-            )
-        values = carried | values
-    return read_camera(path, **values)
-
-
 def splatting_options(*, layers: str, fireflies: str) -> Callable[[Command], Command]:
     """Return the options of quality and speed; the words are what differs between commands."""
     return cloup.option_group(
@@ -230,3 +199,22 @@ def output_options(what: str, *further: Any) -> Callable[[Command], Command]:
         cloup.option("--reference", type=click.Path(dir_okay=False), help="Compare the result with this image."),
         *further,
     )
+
+
+SEQUENCE_NAMES = ("frames", "overwrite", "jobs", "scheduler")
+
+sequence_options = cloup.option_group(
+    "Sequences",
+    cloup.option("--frames", "only_frames", help="Frames to make, such as 1-24, 1-24x2 or 1,5,9-12 (default: all)."),
+    cloup.option("--overwrite", is_flag=True, help="Make frames again whose results exist."),
+    cloup.option("--jobs", type=click.IntRange(min=1), help="Processes that make frames (default: 1)."),
+    cloup.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, whose workers make frames (HOST:PORT)."),
+)
+"""Which frames of a sequence, and who makes them."""
+
+
+def take_sequence(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of a sequence out of a command's; what is not given is not."""
+    options["frames"] = options.pop("only_frames")
+    taken = {name: options.pop(name) for name in SEQUENCE_NAMES}
+    return {name: value for name, value in taken.items() if value}

@@ -38,7 +38,7 @@ class PointOrBox(click.ParamType[Any]):
     help="inverse (larger is nearer, any scale and offset), disparity (the same), or metric (metres).",
 )
 @cloup.option("--focus", required=True, type=PointOrBox(), help="What is to be sharp: a point or a box, px.")
-@cloup.option("--blur", type=float, metavar="PX", help="Radius of the blur at the far end (default: 25).")
+@cloup.option("--blur", type=float, metavar="PX", help="Radius of the blur at the far end (25).")
 @cloup.option("--f-number", type=float, metavar="N", help="Of a full-frame camera, for metric depth.")
 @cloup.option("--focal-length", type=float, metavar="MM", help="For a film 36 mm wide (default: what EXIF says).")
 @cloup.option(

@@ -5,65 +5,31 @@ from __future__ import annotations
 import json
 import os
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
 
-from spreadlets.arrays import Image
 from spreadlets.cli.controls import bokeh_options, control_options, take_bokeh
 from spreadlets.cli.options import (
     TableChoice,
-    camera_of,
     camera_options,
     effect_options,
     input_options,
     json_option,
     output_options,
+    sequence_options,
     splatting_options,
     take_camera,
     take_reading,
+    take_sequence,
 )
 from spreadlets.cli.show import print_figures, progress_bar
 from spreadlets.cli.status import EXIT_FAILURE
-from spreadlets.errors import AmbiguousInputWarning
 
-
-class _Job(NamedTuple):
-    """One image to make: the files it is made from, and how."""
-
-    frames: Sequence[str]
-    output: str
-    camera: str | None
-    lens: dict[str, Any]
-    reference: str | None
-    reading: dict[str, Any]
-    rendering: dict[str, Any]
-    also: Sequence[str] = ()
-    pass_through: bool = False
-    output_coc: str | None = None
-    bit_depth: int | None = None
-    hidden_from: Sequence[tuple[str, dict[str, Any]]] = ()
-
-    def check(self) -> None:
-        """Raise an error, before anything is computed, if the image cannot be written or would replace what is read."""
-        from spreadlets.files.images import OPENEXR, image_extension
-        from spreadlets.files.outputs import check_outputs
-
-        database = self.rendering["database"]
-        passes = [value for name, value in self.reading.items() if name.endswith("_file")]
-        others = [self.camera, self.reference, *passes, database if isinstance(database, str) else None]
-        others += [path for path, _ in self.hidden_from]
-        if self.output_coc and image_extension(self.output_coc) != OPENEXR:
-            raise click.UsageError(f"--output-coc {self.output_coc}: radii have a sign; name the file {OPENEXR}")
-        if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
-            raise click.UsageError("--pass-through copies channels of the whole frame: leave --proxy and --region out")
-        outputs = [self.output, *filter(None, [self.output_coc])]
-        check_outputs(outputs, [*self.frames, *filter(None, (*others, self.rendering.get("mask")))])
+if TYPE_CHECKING:
+    from spreadlets.jobs.job import Job
 
 
 @cloup.command()
@@ -103,19 +69,13 @@ class _Job(NamedTuple):
     fireflies="Dim pixels brighter than this times any other around them.",
 )
 @input_options
-@cloup.option_group(
-    "Sequences",
-    cloup.option("--frames", "numbers", help="Frames to make, such as 1-24, 1-24x2 or 1,5,9-12 (default: all)."),
-    cloup.option("--overwrite", is_flag=True, help="Make frames again whose results exist."),
-)
+@sequence_options
 @json_option
 def synth(
     frames: tuple[str, ...],
     output: str,
     camera: str | None,
     reference: str | None,
-    numbers: str | None,
-    overwrite: bool,
     also: str | None,
     pass_through: bool,
     output_coc: str | None,
@@ -132,58 +92,64 @@ def synth(
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
-    from spreadlets.files.images import OPENEXR, check_bit_depth, image_extension
-    from spreadlets.files.sequence import is_pattern, listed, numbered
+    from spreadlets.files.sequence import is_pattern
+    from spreadlets.jobs.synthesis import Synthesis
     from spreadlets.runtime.options import RENDER_OPTIONS
 
-    reading, lens = take_reading(options), take_camera(options)
-    rendering = {name: options.pop(name) for name in (*RENDER_OPTIONS, "database") if name in options}
-    shape, motion = take_bokeh(options, rendering["database"]), rendering["motion"]
-    database = rendering["database"]
-    if shape:
-        rendering["database"] = partial(_bokeh, shape, motion)
-    layers = tuple(name.strip() for name in also.split(",")) if also else ()
-    check_bit_depth(output, bit_depth)
-    if image_extension(output) != OPENEXR and (layers or pass_through):
-        raise click.UsageError(f"--also and --pass-through are for OpenEXR; name the output {OPENEXR}")
-    if not any(is_pattern(path) for path in frames):
-        if numbers or overwrite:
-            raise click.UsageError("--frames and --overwrite are for sequences, such as frame.####.exr")
-        files, hidden = (frames, output, camera, lens, reference), [(path, reading) for path in hidden_from]
-        job = _Job(*files, reading, rendering, layers, pass_through, output_coc, bit_depth, hidden)
-        job.check()
-        print_figures(_synthesise(job), as_json)
-        return
-    if not all(is_pattern(path) for path in hidden_from):
+    if any(map(is_pattern, frames)) and not all(map(is_pattern, hidden_from)):
         raise click.UsageError("of a sequence, --hidden-from is one, too, such as frame.####.exr")
 
-    def numbered_reading(number: int) -> dict[str, Any]:
-        apart = {key: numbered(value, number) for key, value in reading.items() if key.endswith("_file") and value}
-        return reading | apart
+    sequence, reading, lens = take_sequence(options), take_reading(options), take_camera(options)
+    database = options.pop("database")
+    aperture = take_bokeh(options, database)
+    job = Synthesis(
+        frames,
+        output,
+        camera,
+        lens,
+        reference,
+        database,
+        bit_depth,
+        {name: options[name] for name in RENDER_OPTIONS if name in options},
+        reading,
+        aperture,
+        tuple(name.strip() for name in also.split(",")) if also else (),
+        pass_through,
+        output_coc,
+        tuple((path, reading) for path in hidden_from),
+    )
+    _run(job, sequence, as_json)
 
-    with _databases() as choose:
 
-        def make(number: int, path: str) -> dict[str, Any]:
-            inputs = [numbered(item, number) for item in frames]
-            truth = numbered(reference, number) if reference else None
-            name, mask = rendering["database"], rendering["mask"]
-            chosen = rendering | {"mask": numbered(mask, number) if mask else None}
-            chosen["database"] = name if shape else lambda frame: choose(name, frame, motion)
-            shot = numbered(camera, number) if camera else None
-            radii = numbered(output_coc, number) if output_coc else None
-            around = [(numbered(item, n), n) for item in hidden_from for n in (number - 1, number + 1)]
-            hidden = [(item, numbered_reading(n)) for item, n in around if os.path.exists(item)]
-            files, own = (inputs, path, shot, lens, truth), numbered_reading(number)
-            job = _Job(*files, own, chosen, layers, pass_through, radii, bit_depth, hidden)
-            report = _synthesise(job)
-            warnings.simplefilter("ignore", AmbiguousInputWarning)  # the first frame has said it
-            return report
+def _run(job: Job, sequence: dict[str, Any], as_json: bool) -> None:
+    """Make an image or a sequence and print the report."""
+    from spreadlets.files.sequence import is_pattern
 
-        passes = [value for key, value in reading.items() if key.endswith("_file") and value]
-        others = [each for each in (camera, reference, rendering["mask"], *passes) if each]
-        reads = [*frames, *others, *hidden_from, *(each for each in (database, shape.get("kernel")) if each)]
-        with warnings.catch_warnings():
-            report = _sequence(_chosen(frames, others, reads, output, numbers), output, overwrite, make, as_json)
+    if any(is_pattern(path) for path in job.inputs):
+        _run_sequence(job, sequence, as_json)
+        return
+    if sequence:
+        given = ", ".join(f"--{name}" for name in sequence)
+        raise click.UsageError(f"{given}: for sequences, such as frame.####.exr")
+    job.check()
+    with progress_bar(os.path.basename(job.output), quiet=as_json) as progress:
+        report = job.make(progress)
+    print_figures(report, as_json)
+
+
+def _run_sequence(job: Job, sequence: dict[str, Any], as_json: bool) -> None:
+    """Make a sequence, with a bar; for people each frame's report is cut to its time."""
+    from spreadlets.files.sequence import listed
+    from spreadlets.jobs.sequence import chosen_frames, run_sequence
+
+    chosen = chosen_frames(job, sequence.pop("frames", None))
+    with progress_bar(os.path.basename(job.output), quiet=as_json) as progress:
+        report = run_sequence(job, chosen, progress=progress, **sequence)
+    for entry in report["frames"]:
+        if "error" in entry:
+            click.echo(f"error: frame {entry['frame']}: {' '.join(entry['error'].split())}", err=True)
+    if not as_json:
+        report["frames"] = {entry["output"]: _outcome(entry) for entry in report["frames"]}
     print_figures(report, as_json)
     if report["failed"]:
         count = f"{len(report['failed'])} of {len(report['frames'])} frames could not be made"
@@ -191,151 +157,11 @@ def synth(
         sys.exit(EXIT_FAILURE)
 
 
-def _compared(image: Image, truth: Image | None) -> dict[str, float]:
-    """Return the errors of an image, if there is a reference."""
-    if truth is None:
-        return {}
-    from spreadlets import metrics
-
-    return metrics.compare(image, truth)
-
-
-def _synthesise(job: _Job) -> dict[str, Any]:
-    """Make one image and return its report; the database may be chosen by the frame."""
-    from spreadlets.files import exr_frames as exr
-    from spreadlets.files import images
-    from spreadlets.files.exr_file import opened
-    from spreadlets.files.further_channels import named_channels, other_channels, with_colours
-    from spreadlets.files.pictures import read_plane
-    from spreadlets.files.recognise import ReadOptions
-    from spreadlets.renderer import Renderer
-    from spreadlets.runtime.clock import Clock
-
-    clock = Clock()
-    with clock.step("read"), opened(job.frames) as files:
-        camera = camera_of(job.camera, job.lens, files[0], job.reading.get("depth_scale", 1.0))
-        options = ReadOptions(**job.reading, camera=camera)
-        frame = exr.read_frame(files, options=options)
-        elements = list(with_colours(files, frame, job.also, options.view))
-        further = other_channels(files, frame.raster, options.colour_layer, options.view) if job.pass_through else {}
-        truth = exr.read_reference(job.reference, options) if job.reference else None
-        hidden = [_hidden(path, ReadOptions(**reading, camera=camera), job.also) for path, reading in job.hidden_from]
-    rendering = dict(job.rendering)
-    database = rendering.pop("database")
-    chosen = database(frame) if callable(database) else database
-    if rendering.get("mask"):
-        rendering["mask"] = read_plane(rendering["mask"])
-    others: dict[str, Any] = {"hidden_from": [each for each, _ in hidden]}
-    with progress_bar("building", quiet=False) as bar, Renderer(frame, chosen, **others, progress=bar) as renderer:
-        image, report = renderer.render(camera, **rendering, report=True, clock=clock)
-        raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if job.output_coc else None
-    if frame.repaired_pixels or frame.dropped_pixels:
-        text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
-        warnings.warn(text, stacklevel=1)
-    figures = _compared(*_alike(image, truth, raster, rendering))
-    for name, element in elements:
-        with Renderer(element, chosen, hidden_from=[elsewhere[name] for _, elsewhere in hidden]) as renderer:
-            further |= named_channels(name, renderer.render(camera, **rendering, clock=clock))
-    with clock.step("write"):
-        images.write_image(job.output, image, bit_depth=job.bit_depth, raster=raster, channels=further)
-        if job.output_coc is not None and coc is not None:
-            images.write_plane(job.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
-    return report.to_dict() | {"time_s": clock.times()} | figures
-
-
-def _hidden(path: str, options: Any, also: Sequence[str]) -> tuple[Any, dict[str, Any]]:
-    """Return a neighbouring frame, and the same with the colours of further layers, by name."""
-    from spreadlets.files import exr_frames as exr
-    from spreadlets.files.exr_file import opened
-    from spreadlets.files.further_channels import with_colours
-
-    with opened([path]) as files:
-        frame = exr.read_frame(files, options=options)
-        return frame, dict(with_colours(files, frame, also, options.view))
-
-
-def _bokeh(shape: Mapping[str, Any], motion: bool, frame: Any) -> Any:
-    """Return the model of an aperture for a frame."""
-    from spreadlets.bokeh import bokeh_model
-
-    return bokeh_model(moving=motion and any(layer.has_motion for layer in frame.layers), **shape)
-
-
-def _alike(image: Image, truth: Image | None, raster: Any, rendering: Mapping[str, Any]) -> tuple[Image, Image | None]:
-    """Return an image and its reference as the same pixels: those displayed, or of the region, at the proxy's size."""
-    if truth is None:
-        return image, None
-    from spreadlets.scene.parts import means
-    from spreadlets.scene.raster import placed
-
-    window = raster.data if rendering.get("region") else raster.display
-    truth = means(truth, raster.display.shape) if rendering.get("proxy") else truth
-    return placed(image, raster.data, window), placed(truth, raster.display, window)
-
-
-def _chosen(
-    frames: Sequence[str], others: Sequence[str], reads: Sequence[str], output: str, numbers: str | None
-) -> list[int]:
-    """Return which frames of a sequence to make, after checking that no result replaces a file that is read."""
-    from spreadlets.files.outputs import check_outputs
-    from spreadlets.files.sequence import listed, numbered, sequence_frames
-
-    chosen, gaps = sequence_frames(frames, others, output, numbers)
-    if gaps:
-        warnings.warn(f"the sequence has no frames {listed(gaps)}", stacklevel=1)
-    check_outputs(
-        [numbered(output, number) for number in chosen],
-        {numbered(path, number) for path in reads for number in chosen},
-    )
-    return chosen
-
-
-def _sequence(
-    chosen: Sequence[int],
-    output: str,
-    overwrite: bool,
-    make: Callable[[int, str], dict[str, Any]],
-    as_json: bool,
-) -> dict[str, Any]:
-    """Make the frames of a sequence, with a bar; for people each frame's report is cut to its time."""
-    from spreadlets.files.sequence import run_sequence
-
-    with progress_bar(os.path.basename(output), quiet=as_json) as progress:
-        report = run_sequence(chosen, output, make, overwrite=overwrite, progress=progress)
-    for entry in report["frames"]:
-        if "error" in entry:
-            click.echo(f"error: frame {entry['frame']}: {' '.join(entry['error'].split())}", err=True)
-    if not as_json:
-        report["frames"] = {entry["output"]: _outcome(entry) for entry in report["frames"]}
-    return report
-
-
 def _outcome(entry: Mapping[str, Any]) -> str:
     """Return what people are told of a frame of a sequence."""
     if "error" in entry:
         return "failed"
     return "kept" if entry["skipped"] else f"{entry['time_s']['total']:.2f} s"
-
-
-@contextmanager
-def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
-    """Give a function that returns an open database for a frame; each is opened once."""
-    from spreadlets.psf.database import Database, open_database
-    from spreadlets.renderer import default_database
-
-    opened: dict[str, Database] = {}
-
-    def choose(name: str | None, frame: Any, motion: bool) -> Database:
-        wanted = name or default_database(motion and any(layer.has_motion for layer in frame.layers))
-        if wanted not in opened:
-            opened[wanted] = open_database(wanted)
-        return opened[wanted]
-
-    try:
-        yield choose
-    finally:
-        for database in opened.values():
-            database.close()
 
 
 @cloup.command()
@@ -382,6 +208,7 @@ def _databases() -> Iterator[Callable[[str | None, Any, bool], Any]]:
     fireflies="Dim samples brighter than this times any other that comes from within a pixel (default: 32; inf: off).",
 )
 @cloup.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")
+@sequence_options
 @json_option
 def reconstruct(
     samples: str,
@@ -397,38 +224,19 @@ def reconstruct(
 ) -> None:
     """Clean a buffer of stochastic samples, which were rendered through lens and shutter.
 
-    SAMPLES.exr holds one part per sample, or is a TLFR buffer.
+    SAMPLES.exr holds one part per sample, or is a TLFR buffer. A path with a counter, such as samples.####.exr, is a
+    sequence.
 
     Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
     """
-    from spreadlets.api import reconstruct as make
-    from spreadlets.files import exr_frames as exr
-    from spreadlets.files import images
-    from spreadlets.files.exr_samples import read_samples, samples_files
-    from spreadlets.files.outputs import check_outputs
-    from spreadlets.runtime.clock import Clock
-    from spreadlets.scene.raster import placed
+    from spreadlets.jobs.reconstruction import Reconstruction
 
-    images.check_bit_depth(output, bit_depth)
-    check_outputs(
-        [output], [each for each in (*samples_files(samples), camera, reference, options["database"]) if each]
-    )
-    clock = Clock()
-    with clock.step("read"):
-        lens = camera_of(camera, take_camera(options), samples)
-        buffer = read_samples(samples, camera=lens, repair=repair)
-        truth = exr.read_image(reference) if reference else None
-    given = buffer.take(spp) if spp else buffer
+    sequence, lens, database = take_sequence(options), take_camera(options), options.pop("database")
     settings = _assigned(assignments)
-    with progress_bar(os.path.basename(output), quiet=as_json) as progress:
-        image, report = make(given, lens, **options, settings=settings, report=True, clock=clock, progress=progress)
-    if buffer.dropped_samples:
-        warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
-    raster = buffer.raster
-    figures = _compared(placed(image, raster.data, raster.display), truth)
-    with clock.step("write"):
-        images.write_image(output, image, bit_depth=bit_depth, raster=raster)
-    print_figures(report.to_dict() | {"time_s": clock.times()} | figures, as_json)
+    job = Reconstruction(
+        (samples,), output, camera, lens, reference, database, bit_depth, options, settings, spp, repair
+    )
+    _run(job, sequence, as_json)
 
 
 @cloup.command()

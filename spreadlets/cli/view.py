@@ -8,7 +8,7 @@ from typing import Any
 import click
 import cloup
 
-from spreadlets.cli.options import camera_of, camera_options, input_options, json_option, take_camera, take_reading
+from spreadlets.cli.options import camera_options, input_options, json_option, take_camera, take_reading
 from spreadlets.cli.show import print_figures
 
 
@@ -39,6 +39,7 @@ def view(
     Example: spreadlets view frame.exr --camera camera.json --reference reference.exr
     """
     from spreadlets.files import exr_frames as exr
+    from spreadlets.files.cameras import camera_of
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.view.server import Server
     from spreadlets.view.session import Scene, Studio

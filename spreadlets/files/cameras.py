@@ -148,6 +148,38 @@ def frame_camera(path: Source, scene_scale: float = 1.0) -> dict[str, Any]:
         return {}
 
 
+def camera_of(
+    path: str | None, values: Mapping[str, Any], frame: Source | None = None, scene_scale: float = 1.0
+) -> ThinLens:
+    """Return the camera of a file and single values; without a file, of what the frame itself carries.
+
+    Parameters
+    ----------
+    path : str or None
+        The camera's file.
+    values : mapping
+        Single values, which override.
+    frame : path or ExrFile, optional
+        The frame's file.
+    scene_scale : float
+        Metres of the frame's unit.
+
+    Raises
+    ------
+    InvalidCameraError
+        If they do not make a camera.
+    """
+    if path is None and frame is not None:
+        carried = frame_camera(frame, scene_scale)
+        if not carried and not values:
+            names = [option(name) for name in ("camera", "focal_length_mm", "f_number", "focus_distance_m")]
+            raise InvalidCameraError(
+                f"no camera: give {names[0]} FILE, or {names[1]}, {names[2]} and {names[3]}; the frame carries none"
+            )
+        values = carried | dict(values)
+    return read_camera(path, **dict(values))
+
+
 def _carried_values(headers: Sequence[Mapping[str, Any]], scene_scale: float = 1.0) -> dict[str, Any]:
     """Return the values of a camera in the headers of a file's parts; the first part that says something counts."""
     values: dict[str, Any] = {}

@@ -1,13 +1,11 @@
-"""Numbered sequences of files: patterns such as ``frame.####.exr`` or ``frame.%04d.exr``, and frame by frame runs."""
+"""Numbered sequences of files: patterns such as ``frame.####.exr`` or ``frame.%04d.exr``."""
 
 from __future__ import annotations
 
 import glob
 import os
 import re
-import time
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from fileseq.constants import PAD_STYLE_HASH1
 from fileseq.exceptions import MaxSizeException, ParseException
@@ -15,7 +13,7 @@ from fileseq.filesequence import FileSequence
 from fileseq.frameset import FrameSet
 from fileseq.utils import pad
 
-from spreadlets.errors import InvalidDatabaseError, InvalidFileError, InvalidParameterError, SpreadletsError
+from spreadlets.errors import InvalidFileError, InvalidParameterError
 
 COUNTER = re.compile(r"#+|@+|%(?:0\d+)?d|\$F\d*")
 """What stands for the frame's number: one ``#`` or ``@`` for each digit, or as in C or in Houdini."""
@@ -28,9 +26,6 @@ MAX_FRAMES = 1_000_000
 
 NAMED_FRAMES = 20
 """How many missing numbers an error lists."""
-
-SAME_FOR_ALL_FRAMES = (InvalidParameterError, InvalidDatabaseError)
-"""Errors that every other frame would have, too."""
 
 
 def is_pattern(path: str) -> bool:
@@ -175,70 +170,6 @@ def sequence_frames(
         raise InvalidParameterError(f"the output {output} would replace the frames that are read")
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers)) if frames is None else []
     return numbers, gaps
-
-
-def run_sequence(
-    numbers: Sequence[int],
-    output: str,
-    make: Callable[[int, str], dict[str, Any]],
-    *,
-    overwrite: bool = False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, Any]:
-    """Make a sequence frame by frame, leaving out what is there already.
-
-    Parameters
-    ----------
-    numbers : sequence of int
-        The frames.
-    output : str
-        Pattern of the results. Results are written whole or not at all, so one that exists is complete.
-    make : callable
-        Called with a number and the path to write; returns a report.
-    overwrite : bool
-        Make results that exist again.
-    progress : callable
-        Called with how many frames are done, and how many there are.
-
-    Returns
-    -------
-    dict
-        ``frames`` (a list of reports with ``frame``, ``output``, ``skipped``, and ``error`` if it could not be made),
-        ``written``, ``skipped``, ``failed`` (the numbers of those that could not) and ``total_s``.
-
-    Raises
-    ------
-    InvalidParameterError, InvalidDatabaseError
-        As `make` raises them, since every frame would have the same; earlier results stay. Other errors are the
-        frame's own, and the next one is made.
-    """
-    begin = time.perf_counter()
-    reports = []
-    progress(0, len(numbers))
-    for index, number in enumerate(numbers):
-        path = numbered(output, number)
-        done = os.path.isfile(path) and not overwrite
-        entry: dict[str, Any] = {"frame": number, "output": path, "skipped": done}
-        if not done:
-            entry |= _made(make, number, path)
-        reports.append(entry)
-        progress(index + 1, len(numbers))
-    skipped = sum(entry["skipped"] for entry in reports)
-    failed = [entry["frame"] for entry in reports if "error" in entry]
-    counts = {"written": len(reports) - skipped - len(failed), "skipped": skipped, "failed": failed}
-    return {"frames": reports} | counts | {"total_s": time.perf_counter() - begin}
-
-
-def _made(make: Callable[[int, str], dict[str, Any]], number: int, path: str) -> dict[str, Any]:
-    """Return the report of a frame, or what was wrong with it."""
-    try:
-        return make(number, path)
-    except SAME_FOR_ALL_FRAMES as error:
-        raise type(error)(f"frame {number}: {error}") from error
-    except SpreadletsError as error:
-        return {"error": str(error)}
-    except Exception as error:  # a night's frames do not hang on one
-        return {"error": f"{type(error).__name__}: {error}"}
 
 
 def listed(numbers: Iterable[int]) -> str:

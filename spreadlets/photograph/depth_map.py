@@ -19,7 +19,7 @@ ASPECT_TOLERANCE = 0.03
 """How far the shape of a map may be from that of the image."""
 REFINE_SHARE = 1 / 250
 """Half-width of what is looked at for a pixel's depth, as a share of the longer side; networks are that imprecise."""
-LEAST_HALF = 3
+LEAST_HALF = 5
 MOST_SAMPLES = 11
 """Pixels that are looked at along a side of it, at most."""
 LEAST_EDGE = 0.03

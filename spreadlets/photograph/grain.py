@@ -15,17 +15,18 @@ LAPLACIAN_DEVIATION = 6.0
 """Of the difference of two Laplacians, for noise of deviation 1 (Immerkaer 1996)."""
 
 
-def grained(image: FloatArray, original: FloatArray, coc: FloatArray) -> FloatArray:
+def grained(image: FloatArray, deviation: FloatArray, coc: FloatArray) -> FloatArray:
     """Return a blurred image with the grain that its original has, where the blur took it.
 
     Parameters
     ----------
-    image, original : ndarray of shape (H, W, 3), float32
+    image : ndarray of shape (H, W, 3), float32
         Linear.
+    deviation : ndarray of shape (3,), float32
+        Of the original's grain, see `grain_of`.
     coc : ndarray of shape (H, W), float32
         CoC radius, px: a mean over its area leaves so much less noise.
     """
-    deviation = grain_of(np.asarray(display_encode(original), np.float32))
     lost = 1.0 - 1.0 / np.maximum(np.pi * coc * coc, 1.0)
     noise = np.random.default_rng(0).standard_normal(image.shape, np.float32)
     noisy = display_encode(image) + np.sqrt(lost)[..., None].astype(np.float32) * deviation * noise

@@ -12,7 +12,7 @@ from spreadlets.arrays import FloatArray
 from spreadlets.bokeh import Progress
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.photograph.depth_map import DepthKind, inverse_depth, refined
-from spreadlets.photograph.grain import grained
+from spreadlets.photograph.grain import grain_of, grained
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer
 from spreadlets.runtime.clock import Clock
@@ -30,8 +30,6 @@ FOCAL_LENGTH_MM, SENSOR_MM = 50.0, 36.0
 """Of the lens that stands for any other: what counts is how the blur grows with inverse depth."""
 FARTHEST = 0.05
 """Inverse depth, 1/m, that the farthest pixel is given where the scale is unknown; the nearest has 1."""
-LEAST_REACH = 0.1
-"""Share of the range of inverse depths behind the focus, at least, over which the blur grows to its full radius."""
 
 
 def photo(
@@ -61,7 +59,7 @@ def photo(
     focus : sequence of two or four floats
         A point ``(x, y)``, or a box ``(left, top, right, bottom)`` with whatever is to be sharp, px of the photograph.
     blur : float, optional
-        Radius of the blur at the far end, px; 25 by default.
+        Radius of the blur at the far end, px, or at the near end if that is farther from the focus; 25 by default.
     f_number : float, optional
         Instead of `blur`, for depths in metres: that of a full-frame camera.
     focal_length : float, optional
@@ -109,32 +107,40 @@ def photo(
     codes, clock = np.asarray(rgb), clock or Clock()
     with clock.step("plan"):
         linear = _linear(codes)
-        inverse, least, most = inverse_depth(real_array("depth", depth), depth_kind, linear.shape[:2])
-        if refine:
-            inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
-    if depth_kind == "metric" and f_number is not None:
-        depths = least + (most - least) * inverse
-        camera = ThinLens(
-            focal_length or FOCAL_LENGTH_MM, SENSOR_MM, f_number, 1.0 / _focus(depths, focus), sensor_fit="auto"
-        )
-    elif f_number is not None:
-        raise InvalidParameterError(
-            f"{option('f_number')} needs depths in metres ({option('depth_kind')} metric); of an unknown scale, give "
-            f"{option('blur')}"
-        )
-    else:
-        depths = FARTHEST + (1.0 - FARTHEST) * inverse
-        camera = blurring_camera(depths, _focus(depths, focus), DEFAULT_BLUR if blur is None else blur)
-    with np.errstate(divide="ignore"):
-        frame = Frame(linear, np.float32(1.0) / np.maximum(depths, np.float32(0.0)))
+        depths, known = _inverse(linear, real_array("depth", depth), depth_kind, refine=refine)
+        if f_number is None:
+            camera = blurring_camera(depths, _focus(depths, focus), DEFAULT_BLUR if blur is None else blur)
+        elif not known:
+            raise InvalidParameterError(
+                f"{option('f_number')} needs depths in metres ({option('depth_kind')} metric); of an unknown scale, "
+                f"give {option('blur')}"
+            )
+        else:
+            lens = focal_length or FOCAL_LENGTH_MM, SENSOR_MM, f_number
+            camera = ThinLens(*lens, 1.0 / _focus(depths, focus), sensor_fit="auto")
+        deviation = grain_of(np.asarray(display_encode(linear), np.float32)) if grain else None
+        with np.errstate(divide="ignore"):
+            frame = Frame(linear, np.float32(1.0) / depths)
+    # Of a large photograph each plane counts.
+    del linear, depths
     with Renderer(frame, database or "simplelens", progress=progress) as renderer:
         image = renderer.render(camera, clock=clock, **options)[..., :3]
-        coc = renderer.coc(camera, **options) if grain else None
-    return _coded(image if coc is None else grained(image, linear, coc), codes.dtype)
+        coc = None if deviation is None else renderer.coc(camera, **options)
+    return _coded(image if coc is None or deviation is None else grained(image, deviation, coc), codes.dtype)
+
+
+def _inverse(linear: FloatArray, depth: FloatArray, kind: DepthKind, *, refine: bool) -> tuple[FloatArray, bool]:
+    """Return the inverse depth of each pixel, 1/m, and whether its scale is known; else the nearest pixel is at 1 m."""
+    inverse, least, most = inverse_depth(depth, kind, (linear.shape[0], linear.shape[1]))
+    if refine:
+        inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
+    if kind != "metric":
+        least, most = FARTHEST, 1.0
+    return np.maximum(np.float32(most - least) * inverse + np.float32(least), np.float32(0.0)), kind == "metric"
 
 
 def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
-    """Return a camera that blurs the farthest of some inverse depths (H, W), 1/m, with a radius in px.
+    """Return a camera that blurs the end of some inverse depths (H, W), 1/m, that is farther from focus, by a radius.
 
     Raises
     ------
@@ -143,8 +149,7 @@ def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
     """
     if not 0.0 < blur < np.inf:
         raise InvalidParameterError(f"{option('blur')} is {blur:g}: needed is a radius above 0 px")
-    reach = max(focus - float(inverse.min()), LEAST_REACH * float(inverse.max() - inverse.min()))
-    scale = blur / reach
+    scale = blur / max(focus - float(inverse.min()), float(inverse.max()) - focus)
     focal_length_px = FOCAL_LENGTH_MM / SENSOR_MM * inverse.shape[1]
     return ThinLens(FOCAL_LENGTH_MM, SENSOR_MM, 0.5 * FOCAL_LENGTH_MM / 1000.0 * focal_length_px / scale, 1.0 / focus)
 

@@ -284,7 +284,7 @@ def open_database(name_or_path: str | os.PathLike[str]) -> Database:
     >>> round(float(psf.sum()), 3)
     1.0
     """
-    path = _resolve(name_or_path)
+    path = resolve(name_or_path)
     file = open_checked(path)
     try:
         with refusing(path):
@@ -299,7 +299,8 @@ def shipped_folder() -> Path:
     return Path(__file__).resolve().parents[1] / "data" / "psf_db"
 
 
-def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
+def resolve(name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the file of a database: a path, or the name of one that ships; InvalidDatabaseError if there is none."""
     path = Path(name_or_path)
     if path.is_file():
         return path

@@ -76,6 +76,8 @@ def _smaller_layer(layer: Layer, raster: Raster) -> Layer:
         motion=stretched(layer.motion),
         motion_prev=None if before is None else stretched(before),
         motion_next=None if after is None else stretched(after),
+        depth_prev=None if layer.depth_prev is None else layer.depth_prev[place],
+        depth_next=None if layer.depth_next is None else layer.depth_next[place],
         raster=raster,
     )
 

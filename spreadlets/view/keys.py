@@ -74,6 +74,7 @@ def _text(camera: ThinLens) -> str:
         "shutter_open_close_frames": list(given["shutter"]),
         "lens_model": given["lens_model"],
         "sensor_fit": given["sensor_fit"],
+        "readout_frames": given["readout_frames"],
     }
     if given["sensor_height_mm"] is not None:
         values["sensor_height_mm"] = given["sensor_height_mm"]

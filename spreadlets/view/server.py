@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import math
 import os
 import secrets
 import socket
@@ -15,6 +16,8 @@ from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from spreadlets.errors import InvalidParameterError, SpreadletsError
 from spreadlets.files.images import write_image
@@ -344,10 +347,21 @@ ANSWERS: dict[str, Callable[[Server, Mapping[str, Any], Worker], dict[str, Any] 
 
 def packed(message: Mapping[str, Any], data: bytes = b"") -> bytes:
     """Return a message as it is sent: the length of its JSON, that, and the bytes that go with it."""
-    text = json.dumps(message, default=str).encode()
+    text = json.dumps(_finite(dict(message)), allow_nan=False).encode()
     # The bytes begin at a multiple of four, as the page's arrays do.
     text += b" " * (-len(text) % 4)
     return struct.pack("<I", len(text)) + text + data
+
+
+def _finite(value: Any) -> Any:
+    """Return a value with null for what JSON cannot say, such as the PSNR of equal images."""
+    if isinstance(value, Mapping):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _object(data: str | bytes) -> dict[str, Any]:

@@ -120,7 +120,10 @@ class Studio:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        straight = [replace(layer, motion_prev=None, motion_next=None) for layer in scene.frame.layers]
+        straight = [
+            replace(layer, motion_prev=None, motion_next=None, depth_prev=None, depth_next=None)
+            for layer in scene.frame.layers
+        ]
         self._sources = {False: scene.frame, True: Frame.of(straight)}
         self._renderers: dict[tuple[Any, bool], Renderer] = {}
         self.latest: FloatArray | None = None

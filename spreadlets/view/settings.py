@@ -114,7 +114,7 @@ class Settings:
         return replace(self, kernel=path)
 
     def camera(self, base: ThinLens) -> ThinLens:
-        """Return the camera, with the sensor and the middle of the shutter of another."""
+        """Return the camera, still, with the sensor and the middle of the shutter of another."""
         half, centre = 0.5 * self.shutter / DEGREES_PER_FRAME, base.shutter_centre
         return replace(
             base,
@@ -122,6 +122,7 @@ class Settings:
             focal_length_mm=self.focal_length,
             focus_distance_m=self.focus,
             shutter=(centre - half, centre + half),
+            keys=(),
         )
 
     def options(self) -> dict[str, Any]:

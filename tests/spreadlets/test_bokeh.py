@@ -1,5 +1,7 @@
 """Apertures of one's own: built as frames need them, kept by content."""
 
+import os
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -79,11 +81,16 @@ def test_psfs_of_highlights_are_stored_and_a_damaged_file_is_no_harm(cache, fram
 
 
 def test_what_was_not_used_for_the_longest_goes_first(cache, frame, monkeypatch):
-    sp.synthesize(frame, CAMERA, MODEL)
-    old = next(cache.glob("*.h5"))
-    monkeypatch.setattr(bokeh, "MOST_BYTES", int(1.2 * old.stat().st_size))
-    sp.synthesize(frame, CAMERA, replace(MODEL, blades=7))
-    assert not list(cache.glob(f"{old.stem}.*")) and len(list(cache.glob("*.h5"))) == 1
+    models = [replace(MODEL, blades=blades) for blades in (5, 6, 7)]
+    files = [bokeh.BokehCache(model).path for model in models]
+    for age, model, file in zip((200, 100), models, files, strict=False):
+        sp.synthesize(frame, CAMERA, model)
+        os.utime(file, (time.time() - age,) * 2)
+    sp.synthesize(frame, CAMERA, models[0])  # the older one is used again
+    monkeypatch.setattr(bokeh, "MOST_BYTES", sum(each.stat().st_size for each in cache.iterdir()) + 1000)
+    sp.synthesize(frame, CAMERA, models[2])
+    assert [file.exists() for file in files] == [True, False, True]
+    assert not list(cache.glob(f"{files[1].stem}.*"))
 
 
 def test_an_image_may_be_the_psf(cache, frame, tmp_path):

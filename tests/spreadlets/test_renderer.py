@@ -58,6 +58,29 @@ def test_what_is_kept_is_not_computed_again(frame, monkeypatch):
     assert len(calls) == 1
 
 
+def test_elements_are_drawn_by_the_plan_of_the_picture(frame, renderer, monkeypatch):
+    from spreadlets.runtime import render
+    from spreadlets.runtime.label import surfaces
+
+    rows, columns = np.mgrid[: frame.shape[0], : frame.shape[1]]
+    part = np.ones((*frame.shape, 4), np.float32)
+    part[..., :3] = (0.5 + 0.4 * np.sin(rows / 9) * np.sin(columns / 7))[..., None]
+    rest = np.float32([1, 1, 1, 2]) - part
+    alone = renderer.render(CAMERA, tolerance=0.0)
+    calls = []
+    plan_pixels = render.plan_pixels
+    monkeypatch.setattr(render, "plan_pixels", lambda *given, **more: calls.append(1) or plan_pixels(*given, **more))
+    monkeypatch.setattr(surfaces, "split_surfaces", lambda *given: calls.append(2) or [])
+    elements = [frame.coloured(frame.radiance * share) for share in (part, rest)]
+    (image, first, second), report = renderer.render_all(elements, CAMERA, tolerance=0.0)
+    assert calls == [1]  # what the picture shows where is kept
+    np.testing.assert_array_equal(image, alone)
+    np.testing.assert_array_equal(first[..., 3], image[..., 3])
+    error = np.abs(first + second - image)[..., :3]
+    assert error.mean() < 2.5e-3 * image[..., :3].mean() and error.max() < 0.09  # at the pixels of two surfaces
+    assert report.plan.pixels_sparse + report.plan.pixels_dense <= 2 * frame.depth.size
+
+
 def test_several_threads_may_ask_at_once(renderer):
     cameras = [replace(CAMERA, focus_distance_m=focus) for focus in (2.0, 3.0, 5.0, 8.0)]
     alone = [renderer.render(camera) for camera in cameras]
@@ -134,6 +157,12 @@ def test_a_proxy_is_the_picture_made_smaller(renderer, share):
     assert renderer.raster(proxy=share).data.shape == proxy.shape[:2]
 
 
+def test_the_largest_coc_is_in_pixels_of_the_whole_frame_for_a_proxy_too(renderer):
+    bounded = renderer.render(CAMERA, max_coc=1.5, proxy=0.5)
+    as_strength = renderer.render(CAMERA, far_strength=1.5 / float(renderer.coc(CAMERA)[0, 0]), proxy=0.5)
+    np.testing.assert_allclose(bounded, as_strength, atol=1e-3)
+
+
 def test_a_mask_stays_sharp_and_gives_no_light_away(frame, renderer):
     bright = texture()
     bright[square()] = 50.0
@@ -189,3 +218,10 @@ def test_samples_take_no_controls():
     )
     with pytest.raises(InvalidParameterError, match="near_strength is for frames"):
         sp.reconstruct(samples, CAMERA, near_strength=0.5)
+
+
+def test_focus_at_a_point_overrides_a_pull_of_the_focus(renderer):
+    pull = replace(CAMERA, keys=(sp.LensKey(0.0, focus_distance_m=3.0), sp.LensKey(1.0, f_number=2.0)))
+    held = renderer.camera(pull, focus_at=(0, 0))
+    assert held.at(0.0).focus_distance_m == held.at(1.0).focus_distance_m == FAR
+    assert held.at(1.0).f_number == 2.0

@@ -42,7 +42,7 @@ def test_a_build_goes_on_from_the_cells_that_were_finished(reference, tmp_path, 
     assert len(list((tmp_path / "a.h5.parts").glob("*.part"))) == 5
     built = []
     monkeypatch.setattr(
-        "spreadlets.precompute.build.workers.build_unit", lambda unit: built.append(unit.cell) or build_unit(unit)
+        "spreadlets.precompute.build.build.build_unit", lambda unit: built.append(unit.cell) or build_unit(unit)
     )
     assert_same(build(tmp_path / "a.h5"), reference)
     assert len(set(built)) == 7
@@ -138,14 +138,12 @@ def test_a_killed_build_leaves_a_lock_that_holds_nobody_up(reference, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
-def test_a_dead_worker_is_one_error_and_loses_nothing(reference, tmp_path, monkeypatch):
+def test_a_unit_that_kills_every_worker_is_one_error_and_loses_nothing(reference, tmp_path, monkeypatch):
     with pytest.raises(Stop):
         build(tmp_path / "a.h5", progress=stop_after(5))
     with monkeypatch.context() as patched:
-        patched.setattr(
-            "spreadlets.precompute.build.workers._build_for", lambda parent, unit: os.kill(os.getpid(), signal.SIGKILL)
-        )
-        with pytest.raises(BuildStoppedError, match="a worker process died"):
+        patched.setattr("spreadlets.workers._run_here", lambda *arguments: os.kill(os.getpid(), signal.SIGKILL))
+        with pytest.raises(BuildStoppedError, match="cell .*: 3 processes died on it.*same command goes on"):
             build(tmp_path / "a.h5", jobs=2)
     assert len(list((tmp_path / "a.h5.parts").glob("*.part"))) == 5
     assert_same(build(tmp_path / "a.h5"), reference)
@@ -225,7 +223,7 @@ def test_a_wider_database_keeps_the_cells_that_are_there(reference, tmp_path, mo
     path.write_bytes(reference.read_bytes())
     built = []
     monkeypatch.setattr(
-        "spreadlets.precompute.build.workers.build_unit", lambda unit: built.append(unit) or build_unit(unit)
+        "spreadlets.precompute.build.build.build_unit", lambda unit: built.append(unit) or build_unit(unit)
     )
     build_database("combined", path, extend=True, max_coc=5.5, max_motion=6.0, jobs=1)
     before, after = spreadlets_by_place(reference), spreadlets_by_place(path)
@@ -271,7 +269,7 @@ def test_a_denser_database_keeps_what_is_stored_as_pixels(tmp_path, monkeypatch)
         direct, counts = database.direct.copy(), np.diff(database.point_start)
     built = []
     monkeypatch.setattr(
-        "spreadlets.precompute.build.workers.build_unit", lambda unit: built.append(unit.cell) or build_unit(unit)
+        "spreadlets.precompute.build.build.build_unit", lambda unit: built.append(unit.cell) or build_unit(unit)
     )
     build_database("simplelens", path, extend=True, density=2.0, jobs=1)
     assert 0 < len(built) < 10 and sorted(built) == np.flatnonzero(~direct).tolist()

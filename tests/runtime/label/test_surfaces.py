@@ -1,9 +1,12 @@
 """Mixed pixels, drawn with many samples each, against the shares and colours that they were drawn with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from spreadlets.runtime.label.surfaces import depth_is_filtered, split_surfaces, without_nothing
+from spreadlets.runtime.label import surfaces
+from spreadlets.runtime.label.surfaces import SharedSurfaces, depth_is_filtered, split_surfaces, without_nothing
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -133,3 +136,29 @@ def test_an_element_with_filtered_depth_has_its_own_depth_up_to_its_rim(shape):
 def test_an_element_with_point_samples_of_depth_keeps_them():
     layer, _ = drawn(edge, alpha=True)
     assert without_nothing(layer) is layer
+
+
+def test_surfaces_are_kept_for_the_next_camera_unless_there_are_too_many(monkeypatch):
+    layer = Frame(np.ones((8, 8, 3)), np.where(np.arange(8) < 4, 2.0, 4.0) * np.ones((8, 1))).layers[0]
+    kept = surfaces.KeptSurfaces()
+    assert kept(layer, CAMERA) is kept(layer, replace(CAMERA, focus_distance_m=3.0))
+    assert kept(layer, CAMERA) is not kept(layer, replace(CAMERA, f_number=2 * CAMERA.f_number))
+    monkeypatch.setattr(surfaces, "MOST_KEPT_PIXELS", 64)
+    assert kept(layer, CAMERA) is not kept(layer, CAMERA)
+
+
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_other_colours_are_divided_among_the_same_surfaces_in_the_same_shares(shape):
+    layer, truth = drawn(shape)
+    near, far = np.float32([0.0, 2.0, 0.5]), np.float32([0.7, 0.1, 0.0])
+    colours = truth[..., None] * near + (1 - truth[..., None]) * far
+    other = replace(layer, radiance=np.dstack([colours, layer.radiance[..., 3]]).astype(np.float32))
+    split = SharedSurfaces(split_surfaces)
+    own_surfaces, divided = split(layer, CAMERA), split(other, CAMERA)
+    for (surface, share), (own, own_share) in zip(own_surfaces, divided, strict=True):
+        assert own_share is share and own.depth is surface.depth and own.motion is surface.motion
+    total = sum(own.radiance * share[..., None] for own, share in divided)
+    np.testing.assert_allclose(total, other.radiance, atol=1e-5)
+    for own, share in divided:
+        seen = inner((own.depth < 3.0) & (share > 0.3) & (share < 1.0))
+        assert np.abs(inner(own.radiance)[seen][:, :3] - near).max(initial=0.0) < 0.35

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.plan.divide import divide_frame
+from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import Raster, Window
@@ -30,9 +30,9 @@ def post_before(behind, near=-6.0, far=0.0):
 
 def hidden(layer, **options):
     """Return colours and shares of what is hidden in a frame."""
-    divided = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True), **options)
+    divided = divide_frames([layer], CAMERA, Effects(defocus=True, motion=True, swept=True), **options)
     assert divided.n_hidden == 1
-    return in_frame(divided.pixel_sets[-1])
+    return in_frame(divided.pixel_sets[0][-1])
 
 
 def in_frame(pixels):
@@ -61,8 +61,8 @@ def test_an_even_surface_stays_even():
 
 def test_shares_are_those_that_the_nearer_layer_hides():
     layer = post_before(checkerboard())
-    divided = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True))
-    first, further, last = divided.pixel_sets
+    divided = divide_frames([layer], CAMERA, Effects(defocus=True, motion=True, swept=True))
+    first, further, last = divided.pixel_sets[0]
     near = first.weight * (first.labels.coc < -3)
     at = further.labels.view.places.at
     np.add.at(near, (at[..., 0], at[..., 1]), further.weight * (further.labels.coc < -3))
@@ -80,7 +80,7 @@ def test_what_no_blur_reveals_is_not_looked_for():
 
 def test_noise_is_not_copied():
     noise = np.random.default_rng(0).random((SIZE, SIZE, 3))
-    divided = divide_frame(post_before(noise), CAMERA, Effects(defocus=True, motion=True, swept=True))
+    divided = divide_frames([post_before(noise)], CAMERA, Effects(defocus=True, motion=True, swept=True))
     assert divided.n_hidden == 0, "no place looks like another"
 
 
@@ -112,7 +112,7 @@ def test_a_frame_with_overscan_finds_what_the_wide_frame_does():
         inner = np.s_[cut : SIZE - cut, cut : SIZE - cut]
         raster = Raster(Window(cut, cut, SIZE - 2 * cut, SIZE - 2 * cut), display)
         layer = Frame(wide.radiance[inner], wide.depth[inner], raster=raster).layers[0]
-        pixels = divide_frame(layer, CAMERA, Effects(defocus=True, motion=True, swept=True)).pixel_sets[-1]
+        pixels = divide_frames([layer], CAMERA, Effects(defocus=True, motion=True, swept=True)).pixel_sets[0][-1]
         drawn = pixels.weight > 0
         rows, cols = pixels.labels.view.places.at[drawn].T + cut
         colours = np.zeros((SIZE, SIZE, 4))

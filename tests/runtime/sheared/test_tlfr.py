@@ -102,11 +102,11 @@ def test_surfaces_cover_what_a_triangle_of_their_samples_holds():
 
 
 def test_the_layers_of_views_are_filtered_and_composited_front_to_back():
-    tiles = prepared(mixed(np.random.default_rng(4), 40, 48), views=4, softness=0.4)
-    sums = np.zeros((40, 48, len(tiles.sigma), 6), np.float32)
+    tiles = prepared(mixed(np.random.default_rng(4), 100, 24), views=4, softness=0.4)
+    sums = np.zeros((100, 24, len(tiles.sigma), 6), np.float32)
     for box in tiles.tiling.inner():
         kernels.gather_tile(tiles.trajectories, tiles.views, box, sums, 0)
-    image = np.zeros((40, 48, 4), np.float32)
+    image = np.zeros((100, 24, 4), np.float32)
     tiles.fill(image)
     expected, left_over = np.zeros(image.shape), np.ones(image.shape[:2])
     for layer, sigma in enumerate(tiles.sigma):

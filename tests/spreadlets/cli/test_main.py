@@ -184,11 +184,12 @@ def test_a_sequence_is_one_report_and_resumes(run, shot, small_combined_path):
 
 
 def test_a_sequence_opens_its_database_once(run, shot, small_combined_path, monkeypatch):
-    from spreadlets.psf import database
+    from spreadlets.jobs import databases
 
     opened = []
-    plain = database.open_database
-    monkeypatch.setattr(database, "open_database", lambda name: opened.append(name) or plain(name))
+    plain = databases.open_database
+    monkeypatch.setattr(databases, "_opened", {})
+    monkeypatch.setattr(databases, "open_database", lambda name: opened.append(name) or plain(name))
     assert run(*sequence_arguments(shot, small_combined_path))[0] == 0
     assert opened == [str(small_combined_path)]
 
@@ -258,9 +259,9 @@ def test_a_sequence_warns_of_its_conventions_once(run, shot, small_combined_path
 
 
 def test_sequence_options_need_a_sequence(run, scene, small_combined_path):
-    for option in (("--frames", "1-2"), ("--overwrite",)):
+    for option in (("--frames", "1-2"), ("--overwrite",), ("--jobs", "2"), ("--scheduler", "127.0.0.1:1")):
         status, _, err = run(*synth_arguments(scene, small_combined_path), *option)
-        assert status == 2 and "are for sequences" in err
+        assert status == 2 and f"{option[0]}: for sequences" in err
 
 
 def test_build_writes_a_database(run, tmp_path):

@@ -7,7 +7,6 @@ from spreadlets.files.sequence import (
     listed,
     numbered,
     parse_frames,
-    run_sequence,
     sequence_frames,
 )
 
@@ -113,38 +112,3 @@ def test_the_frames_of_a_sequence(tmp_path):
 def test_long_lists_of_frames_are_cut():
     assert listed([1, 2, 3, 7, 9, 10]) == "1-3, 7, 9-10"
     assert listed(range(0, 100, 2)).endswith("36, 38, ...")
-
-
-def test_a_run_makes_what_is_not_there_and_reports_each_frame(tmp_path):
-    output = str(tmp_path / "out.#.exr")
-    touch(tmp_path, "out.2.exr")
-    made, steps = [], []
-
-    def make(number, path):
-        made.append((number, path))
-        return {"ssim": 0.5}
-
-    report = run_sequence([1, 2, 3], output, make, progress=lambda *step: steps.append(step))
-    assert made == [(1, str(tmp_path / "out.1.exr")), (3, str(tmp_path / "out.3.exr"))]
-    assert [(entry["frame"], entry["skipped"]) for entry in report["frames"]] == [(1, False), (2, True), (3, False)]
-    assert report["frames"][2]["ssim"] == 0.5 and "ssim" not in report["frames"][1]
-    assert (report["written"], report["skipped"]) == (2, 1) and steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    run_sequence([1, 2, 3], output, make, overwrite=True)
-    assert [number for number, _ in made[2:]] == [1, 2, 3]
-
-
-def test_a_frames_own_error_does_not_stop_the_others_and_a_shared_one_does(tmp_path):
-    output = str(tmp_path / "out.#.exr")
-    errors = {1: InvalidFileError("no depth"), 2: ZeroDivisionError("by chance"), 4: InvalidParameterError("no layers")}
-
-    def make(number, path):
-        if number in errors:
-            raise errors[number]
-        return {}
-
-    report = run_sequence([1, 2, 3], output, make)
-    assert (report["failed"], report["written"], report["skipped"]) == ([1, 2], 1, 0)
-    said = [entry.get("error") for entry in report["frames"]]
-    assert said == ["no depth", "ZeroDivisionError: by chance", None]
-    with pytest.raises(InvalidParameterError, match="frame 4: no layers"):
-        run_sequence([3, 4], output, make)

@@ -1,0 +1,234 @@
+"""Sequences on many processes: efficiency, kills of workers and of schedulers, and a simulation up to 256 workers.
+
+Draws a shot of small frames. After every kill, results must be those of a serial run, byte by byte.
+
+    python benchmarks/farm.py [--frames 100] [--width 512] [--kills 20] [--seed 0]
+
+The results go to benchmarks/results/farm.txt.
+"""
+
+import argparse
+import filecmp
+import heapq
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+import spreadlets as sp
+from spreadlets.workers import open_workers
+
+RESULTS = Path(__file__).parent / "results"
+COMMAND = [sys.executable, "-m", "spreadlets.cli.main"]
+WORKERS = (1, 2, 4, 16, 64, 128, 256)
+SHOT, SHOT_PIXELS = 1000, 1920 * 1080
+"""Frames of the simulated shot, and their size: times are taken to grow with the pixels."""
+START_S = 3.0
+"""Start of a worker in the simulation, s."""
+
+
+def draw_shot(folder: Path, count: int, width: int) -> None:
+    """Write frames of discs at many depths that move past each other, some of them bright."""
+    height = width * 9 // 16
+    rng = np.random.default_rng(3)
+    discs = np.stack(
+        [rng.uniform(0, width, 40), rng.uniform(0, height, 40), rng.uniform(4, 0.1 * width, 40), rng.uniform(1, 12, 40)]
+    )
+    speed, colour = rng.uniform(-6, 6, (2, 40)), rng.random((40, 3))
+    colour[::8] *= 30.0
+    rows, columns = np.indices((height, width))
+    for number in range(1, count + 1):
+        radiance, depth, motion = (
+            np.full((height, width, 3), 0.2),
+            np.full((height, width), 20.0),
+            np.zeros((height, width, 2)),
+        )
+        for index in np.argsort(-discs[3]):
+            x, y = (discs[:2, index] + speed[:, index] * number) % (width, height)
+            inside = (columns - x) ** 2 + (rows - y) ** 2 < discs[2, index] ** 2
+            radiance[inside], depth[inside], motion[inside] = colour[index], discs[3, index], speed[:, index]
+        sp.write_frame(folder / f"shot.{number:04d}.exr", sp.Frame(radiance, depth, motion))
+    camera = {"focal_length_mm": 50, "sensor_width_mm": 36, "f_number": 1.4, "focus_distance_m": 3}
+    (folder / "camera.json").write_text(json.dumps(camera | {"shutter_open_close_frames": [-0.25, 0.25]}))
+
+
+def start(folder: Path, name: str, *options: str, threads: int | None = None) -> subprocess.Popen[str]:
+    """Start a run whose results are called so."""
+    files = [str(folder / "shot.####.exr"), "-o", str(folder / f"{name}.####.exr")]
+    command = [*COMMAND, "synth", *files, "--camera", str(folder / "camera.json"), "--json", *options]
+    environment = os.environ | ({"NUMBA_NUM_THREADS": str(threads)} if threads else {})
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[dict, str]:
+    """Wait for a run; return its report and what it said."""
+    out, err = process.communicate()
+    return (json.loads(out) if out else {}), err.strip()
+
+
+def made(folder: Path, name: str) -> int:
+    return len(list(folder.glob(f"{name}.????.exr")))
+
+
+def differing(folder: Path, name: str, count: int) -> int:
+    """Count frames that are not there or differ from the serial run's in any byte; and remove them all."""
+    wrong = 0
+    for number in range(1, count + 1):
+        path = folder / f"{name}.{number:04d}.exr"
+        wrong += not (path.exists() and filecmp.cmp(path, folder / f"serial.{number:04d}.exr", shallow=False))
+        path.unlink(missing_ok=True)
+    return wrong
+
+
+def efficiency(folder: Path, count: int) -> tuple[list[str], list[float]]:
+    """Let one process of one thread and two run side by side; return lines, and the seconds of each frame.
+
+    What else the machine does takes from every process alike. So when the two are done, the one has made half as many
+    frames if the two lose nothing.
+    """
+    serial, double = start(folder, "serial", threads=1), start(folder, "double", "--jobs", "2")
+    begin = time.perf_counter()
+    report, _ = finish(double)
+    two, beside = time.perf_counter() - begin, made(folder, "serial")
+    alone, _ = finish(serial)
+    # The smaller of two times is nearer to that of a free machine. A process's first frame loads kernels, once: that
+    # belongs to its start.
+    pairs = zip(alone["frames"], report["frames"], strict=True)
+    seconds = [min(entry["time_s"]["total"] for entry in pair) for pair in pairs][2:]
+    lines = [
+        f"side by side, starts included: two processes made {count} frames in {two:.1f} s, and one of one thread "
+        f"{beside}: efficiency {count / (2 * beside):.2f}; frames that differ {differing(folder, 'double', count)}",
+        f"memory: {alone['peak_rss_mb']:.0f} MB for one process, {report['peak_rss_mb']:.0f} MB for each of two",
+    ]
+    return lines, seconds
+
+
+def children(pid: int) -> list[int]:
+    found = subprocess.run(["ps", "--ppid", str(pid), "-o", "pid=,args="], capture_output=True, text=True, check=False)
+    return [int(line.split()[0]) for line in found.stdout.splitlines() if "popen_loky" in line]
+
+
+def kill_processes(folder: Path, count: int, kills: int, rng: random.Random) -> str:
+    """Kill processes of a run of two at random moments, as often as its frames allow."""
+    process, done, before = start(folder, "killed", "--jobs", "2"), 0, 0
+    while done < kills and process.poll() is None:
+        time.sleep(rng.uniform(0.0, 1.0))
+        workers, now = children(process.pid), made(folder, "killed")
+        if workers and before + 2 <= now < count - 2:
+            os.kill(rng.choice(workers), signal.SIGKILL)
+            done, before = done + 1, now
+    report, _ = finish(process)
+    left = len(list(folder.glob(".*")))
+    return (
+        f"{done} kills of processes in one run: failed frames {report.get('failed')}, "
+        f"frames that differ {differing(folder, 'killed', count)}, files left over {left}"
+    )
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Give the address of a scheduler, its process, and those of its workers."""
+    file = folder / "scheduler.json"
+    file.unlink(missing_ok=True)
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def dask(*arguments: str) -> None:
+        command = [sys.executable, "-m", "dask", *arguments, "--scheduler-file", str(file), "--no-dashboard"]
+        processes.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+
+    try:
+        dask("scheduler", "--host", "127.0.0.1", "--port", "0")
+        while not file.exists():
+            time.sleep(0.1)
+        for _ in range(workers):
+            dask("worker", "--nthreads", "1", "--no-nanny")
+        yield json.loads(file.read_text())["address"], processes
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def kill_cluster(folder: Path, count: int, kills: int, rng: random.Random) -> str:
+    """Kill a worker of three and the scheduler in turn; the same command goes on with the next cluster."""
+    done, runs, said = {"worker": 0, "scheduler": 0}, 0, set()
+    while made(folder, "there") < count:
+        runs += 1
+        with cluster(folder, 3) as (address, (scheduler, first, *_)):
+            before = made(folder, "there")
+            process = start(folder, "there", "--scheduler", address)
+            for name, victim in (("worker", first), ("scheduler", scheduler)):
+                while process.poll() is None and made(folder, "there") < min(before + 1 + done["scheduler"], count):
+                    time.sleep(0.1)
+                if sum(done.values()) < kills and process.poll() is None:
+                    time.sleep(rng.uniform(0.0, 1.0))
+                    victim.kill()
+                    done[name] += 1
+            _, err = finish(process)
+            said.add(err)
+    return (
+        f"{done['worker']} kills of cluster workers and {done['scheduler']} of the scheduler in {runs} runs of the "
+        f"same command: frames that differ {differing(folder, 'there', count)}; "
+        f"said: {' / '.join(sorted(filter(None, said)))}"
+    )
+
+
+def dispatch_s(tasks: int = 500) -> float:
+    """Return how long it takes to hand a task out and to take its result, s: those of tasks that do nothing."""
+    with open_workers(2, None) as (_, compute):
+        list(compute(abs, range(2)))
+        begin = time.perf_counter()
+        list(compute(abs, range(tasks)))
+        return (time.perf_counter() - begin) / tasks
+
+
+def simulated(seconds: list[float], width: int) -> list[str]:
+    """List scheduling of a long shot, from the times of single frames."""
+    scale = SHOT_PIXELS / (width * (width * 9 // 16))
+    frames, dispatch = scale * np.random.default_rng(0).choice(seconds, SHOT), dispatch_s()
+    lines = [
+        f"simulated, {SHOT} frames of 1920 x 1080 of {frames.mean():.2f} s each with one thread, {START_S:g} s for a "
+        f"worker to start, {1000 * dispatch:.1f} ms to hand a frame out:",
+        f"{'workers':>9}{'time s':>9}{'efficiency':>12}",
+    ]
+    for workers in WORKERS:
+        free, asked = [START_S] * workers, 0.0
+        for each in frames:
+            asked = max(asked, free[0]) + dispatch
+            heapq.heapreplace(free, asked + float(each))
+        lines.append(f"{workers:>9}{max(free):>9.1f}{frames.sum() / (workers * max(free)):>12.3f}")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--width", type=int, default=512)
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    rng = random.Random(arguments.seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        draw_shot(folder, arguments.frames, arguments.width)
+        lines, seconds = efficiency(folder, arguments.frames)
+        print("\n".join(lines), flush=True)
+        for kill in (kill_processes, kill_cluster):
+            lines.append(kill(folder, arguments.frames, arguments.kills // 2, rng))
+            print(lines[-1], flush=True)
+    lines += simulated(seconds, arguments.width)
+    (RESULTS / "farm.txt").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

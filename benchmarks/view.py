@@ -1,0 +1,133 @@
+"""How fast the page answers, in a real browser: first picture, frames per second of a drag, whole picture after it.
+
+    python benchmarks/view.py --frames DIR [--size 1024] [--seconds 4]
+
+For each NAME_pinhole.exr with NAME.json in the folder (coins and whirl), enlarged to the size by repeating pixels.
+Columns: seconds from the command to the first whole picture; for a drag of the f-number and one of the focus: pictures
+a second, the longer side of the proxy, seconds from the release to the whole picture; and the processor time of a proxy
+and of the whole picture, s, summed over threads, which other work on the machine disturbs less. Needs playwright and a
+Chromium. Writes view.txt to benchmarks/results, with the load of the machine.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+import spreadlets as sp
+from spreadlets.view.session import DRAFT, Scene, Settings, Studio
+
+RESULTS = Path(__file__).parent / "results"
+SCENES = ("coins", "whirl")
+READY = "document.getElementById('status').textContent.startsWith('ready')"
+DRAG = """async ([name, seconds]) => {
+  const input = document.getElementById(name), value = Number(input.value), begin = performance.now();
+  pictures.length = 0;
+  for (let step = 0; performance.now() - begin < 1000 * seconds; step++) {
+    input.value = value * (1 + 0.3 * Math.abs(Math.sin(step / 40)));
+    input.dispatchEvent(new Event("input"));
+    await new Promise((done) => setTimeout(done, 16));
+  }
+  const drafts = pictures.filter((each) => !each.full), released = performance.now();
+  input.dispatchEvent(new Event("change"));
+  while (!document.getElementById("status").textContent.startsWith("ready"))
+    await new Promise((done) => setTimeout(done, 4));
+  const last = drafts.slice(Math.floor(drafts.length / 3)), time = last[last.length - 1].at - last[0].at;
+  return [(1000 * (last.length - 1)) / time, last[last.length - 1].share, (performance.now() - released) / 1000];
+}"""
+
+
+def enlarged(folder: Path, name: str, size: int, target: Path) -> Path:
+    """Write a frame with its pixels repeated."""
+    (layer,) = sp.read_frame(folder / f"{name}_pinhole.exr").layers
+    times = size // layer.shape[0]
+
+    def repeated(values: np.ndarray, stretch: int = 1) -> np.ndarray:
+        return np.kron(values, np.ones((times, times, *[1] * (values.ndim - 2)), np.float32)) * np.float32(stretch)
+
+    paths = {key: repeated(getattr(layer, key), times) for key in ("motion_prev", "motion_next")}
+    frame = sp.Frame(repeated(layer.radiance), repeated(layer.depth), **paths)
+    sp.write_frame(target / f"{name}.exr", frame)
+    return target / f"{name}.exr"
+
+
+def in_browser(path: Path, camera: Path, browser, seconds: float) -> list[float]:
+    """Open the page and drag; return the figures of a row."""
+    begin = time.perf_counter()
+    words = ["view", str(path), "--camera", str(camera), "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spreadlets.cli.main", *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        stderr=subprocess.DEVNULL,
+    )
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.goto(json.loads(process.stdout.readline())["url"])
+    page.wait_for_function(READY, timeout=120_000)
+    row = [time.perf_counter() - begin]
+    for name in ("f-number", "focus"):
+        page.evaluate(DRAG, [name, seconds])  # compiles, and finds the proxy that keeps up
+        row += page.evaluate(DRAG, [name, seconds])
+    page.close()
+    process.terminate()
+    process.wait()
+    return row
+
+
+def processor_times(path: Path, camera_path: Path) -> list[float]:
+    """Return the processor seconds of a proxy of 512 px in one layer, and of the whole picture, as the focus moves."""
+    camera = sp.read_camera(camera_path)
+    studio, found = Studio(Scene(sp.read_frame(path), camera)), []
+    for draft, options in ((True, {**DRAFT, "layers": 1, "proxy": 512 / max(studio.scene.frame.shape)}), (False, {})):
+        renderer = studio.renderer(Settings.of_camera(camera), draft=draft)
+        times = []
+        for step in range(8):
+            begin = time.process_time()
+            renderer.render(replace(camera, focus_distance_m=camera.focus_distance_m * (1 + 0.01 * step)), **options)
+            times.append(time.process_time() - begin)
+        found.append(float(np.median(times[2:])))
+    studio.close()
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=Path, required=True)
+    parser.add_argument("--size", type=int, default=1024)
+    parser.add_argument("--seconds", type=float, default=4.0)
+    given = parser.parse_args()
+    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    lines = [f"{given.size} px, {os.cpu_count()} processors; load before {os.getloadavg()[0]:.1f}"]
+    lines.append(
+        "scene   first s | f-number: fps  proxy px  release s | focus: fps  proxy px  release s | proxy s  whole s"
+    )
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for name in SCENES:
+            path, camera = enlarged(given.frames, name, given.size, Path(folder)), given.frames / f"{name}.json"
+            first, *drags = in_browser(path, camera, browser, given.seconds)
+            texts = [
+                f"{fps:16.1f} {share * given.size:9.0f} {release:9.2f}  |"
+                for fps, share, release in (drags[:3], drags[3:])
+            ]
+            proxy, whole = processor_times(path, camera)
+            lines.append(f"{name:7} {first:7.2f} |{''.join(texts)} {proxy:7.3f} {whole:8.3f}")
+        browser.close()
+    lines.append(
+        f"load after {os.getloadavg()[0]:.1f}: where it exceeds the processors, times are longer than they need be"
+    )
+    (RESULTS / "view.txt").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

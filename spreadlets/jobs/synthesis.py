@@ -1,0 +1,216 @@
+"""The job of synthesis: a frame in files, or its layers, with depth of field and motion blur put on it."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+from spreadlets.errors import InvalidParameterError, option
+from spreadlets.files.images import OPENEXR, image_extension
+from spreadlets.files.sequence import numbered
+from spreadlets.jobs.job import Job, PathChange, Progress, compared
+
+if TYPE_CHECKING:
+    from spreadlets.arrays import Image
+    from spreadlets.files.recognise import ReadOptions
+    from spreadlets.models import Model
+    from spreadlets.psf.database import Database
+    from spreadlets.scene.camera import ThinLens
+    from spreadlets.scene.frame import Frame
+    from spreadlets.scene.raster import Raster
+
+PASSES = ("depth_file", "motion_file", "alpha_file")
+"""Options of reading that name a file."""
+
+
+class _Given(NamedTuple):
+    """What the files hold: frame, camera, reference, further colour layers as frames, and all other channels.
+
+    And of each frame before or after the frame itself, and its further colour layers.
+    """
+
+    frame: Frame
+    camera: ThinLens
+    truth: Image | None
+    elements: list[tuple[str, Frame]]
+    channels: dict[str, Any]
+    neighbours: list[tuple[Frame, dict[str, Frame]]]
+
+
+@dataclass(frozen=True)
+class Synthesis(Job):
+    """A frame to blur, see `Job`.
+
+    Attributes
+    ----------
+    reading : mapping
+        How to read the frame, by the names of `ReadOptions`.
+    aperture : mapping
+        Its shape, in place of a database, as for `spreadlets.bokeh.bokeh_model`.
+    also : sequence of str
+        Further colour layers to blur.
+    pass_through : bool
+        Copy all other channels.
+    output_coc : str or None
+        File for the radii of the circle of confusion.
+    hidden_from : sequence of (str, mapping)
+        Frames right before or after, from which what is hidden is taken, each with how to read it. Of a sequence they
+        are sequences, of which those before and after each frame are taken, if they are there.
+    """
+
+    reading: Mapping[str, Any] = field(default_factory=dict)
+    aperture: Mapping[str, Any] = field(default_factory=dict)
+    also: Sequence[str] = ()
+    pass_through: bool = False
+    output_coc: str | None = None
+    hidden_from: Sequence[tuple[str, Mapping[str, Any]]] = ()
+
+    @property
+    def others(self) -> list[str]:
+        """Files that must be there besides the inputs, the database left out."""
+        named = (*(self.reading.get(name) for name in PASSES), self.rendering.get("mask"), self.aperture.get("kernel"))
+        return [*super().others, *filter(None, named)]
+
+    @property
+    def reads(self) -> list[str]:
+        """Files that may be read."""
+        return [*super().reads, *(path for path, _ in self.hidden_from)]
+
+    @property
+    def writes(self) -> list[str]:
+        """Files that are written."""
+        return [*super().writes, *filter(None, [self.output_coc])]
+
+    def with_paths(self, change: PathChange) -> Self:
+        """Return the job with each path changed, except that of the database."""
+        return replace(
+            super().with_paths(change),
+            reading=_changed(self.reading, PASSES, change),
+            rendering=_changed(self.rendering, ("mask",), change),
+            aperture=_changed(self.aperture, ("kernel",), change),
+            output_coc=self.output_coc and change(self.output_coc),
+            hidden_from=[(change(path), _changed(reading, PASSES, change)) for path, reading in self.hidden_from],
+        )
+
+    def numbered(self, number: int) -> Self:
+        """Return the job of one frame of a sequence; the frames around it are taken for what is hidden in it."""
+        around = [
+            (numbered(path, at), _changed(reading, PASSES, partial(numbered, number=at)))
+            for path, reading in self.hidden_from
+            for at in (number - 1, number + 1)
+        ]
+        there = [(path, reading) for path, reading in around if os.path.exists(path)]
+        return replace(super().numbered(number), hidden_from=there)
+
+    def check(self) -> None:
+        """Raise an error, before anything is computed, if files or options do not fit each other."""
+        coc, through = option("output_coc"), option("pass_through")
+        if self.output_coc and image_extension(self.output_coc) != OPENEXR:
+            raise InvalidParameterError(f"{coc} {self.output_coc}: radii have a sign; name the file {OPENEXR}")
+        if self.pass_through and (self.rendering.get("proxy") or self.rendering.get("region")):
+            raise InvalidParameterError(
+                f"{through} copies channels of the whole frame: leave {option('proxy')} and {option('region')} out"
+            )
+        if image_extension(self.output) != OPENEXR and (self.also or self.pass_through):
+            raise InvalidParameterError(f"{option('also')} and {through} are for OpenEXR; name the output {OPENEXR}")
+        super().check()
+
+    def make(self, progress: Progress | None = None) -> dict[str, Any]:
+        """Make the image, write it, and return its report; an aperture's spreadlets may have to be built first.
+
+        What this needs is loaded here, so that who only hands jobs out starts in no time.
+        """
+        from spreadlets.files.further_channels import named_channels
+        from spreadlets.files.images import write_image, write_plane
+        from spreadlets.files.pictures import read_plane
+        from spreadlets.renderer import Renderer
+        from spreadlets.runtime.clock import Clock
+
+        clock = Clock()
+        with clock.step("read"):
+            given = self._read()
+        frame, camera, further = given.frame, given.camera, given.channels
+        rendering = dict(self.rendering)
+        if rendering.get("mask"):
+            rendering["mask"] = read_plane(rendering["mask"])
+        database = self._database(frame)
+        around = [neighbour for neighbour, _ in given.neighbours]
+        # What is hidden in further colours is taken from theirs, which takes a plan of its own.
+        frames = [] if around else [element for _, element in given.elements]
+        with Renderer(frame, database, hidden_from=around, progress=progress) as renderer:
+            (image, *blurred), report = renderer.render_all(frames, camera, clock, **rendering)
+            raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if self.output_coc else None
+        if frame.repaired_pixels or frame.dropped_pixels:
+            text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
+            warnings.warn(text, stacklevel=1)
+        figures = compared(*_alike(image, given.truth, raster, rendering)) if given.truth is not None else {}
+        for name, element in given.elements if around else ():
+            with Renderer(element, database, hidden_from=[each[name] for _, each in given.neighbours]) as apart:
+                blurred.append(apart.render(camera, clock=clock, **rendering))
+        for (name, _), colours in zip(given.elements, blurred, strict=True):
+            further |= named_channels(name, colours)
+        with clock.step("write"):
+            write_image(self.output, image, bit_depth=self.bit_depth, raster=raster, channels=further)
+            if self.output_coc is not None and coc is not None:
+                write_plane(self.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
+        return report.to_dict() | {"time_s": clock.times()} | figures
+
+    def _read(self) -> _Given:
+        """Read all that the files hold for this image."""
+        from spreadlets.files import exr_frames as exr
+        from spreadlets.files.cameras import camera_of
+        from spreadlets.files.exr_file import opened
+        from spreadlets.files.further_channels import other_channels, with_colours
+        from spreadlets.files.recognise import ReadOptions
+
+        with opened(self.inputs) as files:
+            camera = camera_of(self.camera, self.lens, files[0], self.reading.get("depth_scale", 1.0))
+            options = ReadOptions(**self.reading, camera=camera)
+            frame = exr.read_frame(files, options=options)
+            elements = list(with_colours(files, frame, self.also, options.view))
+            channels: dict[str, Any] = {}
+            if self.pass_through:
+                channels = other_channels(files, frame.raster, options.colour_layer, options.view)
+        truth = exr.read_reference(self.reference, options) if self.reference else None
+        neighbours = [self._neighbour(path, ReadOptions(**each, camera=camera)) for path, each in self.hidden_from]
+        return _Given(frame, camera, truth, elements, channels, neighbours)
+
+    def _neighbour(self, path: str, options: ReadOptions) -> tuple[Frame, dict[str, Frame]]:
+        """Read a frame before or after, and its further colour layers."""
+        from spreadlets.files import exr_frames as exr
+        from spreadlets.files.exr_file import opened
+        from spreadlets.files.further_channels import with_colours
+
+        with opened([path]) as files:
+            frame = exr.read_frame(files, options=options)
+            return frame, dict(with_colours(files, frame, self.also, options.view))
+
+    def _database(self, frame: Frame) -> Database | Model:
+        """Return where the PSFs come from: the aperture's model, or an open database."""
+        from spreadlets.bokeh import bokeh_model
+        from spreadlets.jobs.databases import kept_database
+        from spreadlets.renderer import default_database
+
+        moving = bool(self.rendering.get("motion", True)) and any(layer.has_motion for layer in frame.layers)
+        if self.aperture:
+            return bokeh_model(moving=moving, **self.aperture)
+        return kept_database(self.database or default_database(moving))
+
+
+def _changed(options: Mapping[str, Any], names: Sequence[str], change: PathChange) -> dict[str, Any]:
+    """Return options of which those that name a file are changed."""
+    return {name: change(value) if name in names and value else value for name, value in options.items()}
+
+
+def _alike(image: Image, truth: Image, raster: Raster, rendering: Mapping[str, Any]) -> tuple[Image, Image]:
+    """Return an image and its reference as the same pixels: those displayed, or of the region, at the proxy's size."""
+    from spreadlets.scene.parts import means
+    from spreadlets.scene.raster import placed
+
+    window = raster.data if rendering.get("region") else raster.display
+    truth = means(truth, raster.display.shape) if rendering.get("proxy") else truth
+    return placed(image, raster.data, window), placed(truth, raster.display, window)

@@ -1,0 +1,100 @@
+"""Photographs and planes from files."""
+
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+
+import spreadlets as sp
+from spreadlets.errors import InvalidFileError
+from spreadlets.files.pictures import read_picture, read_plane
+from spreadlets.scene.display import display_decode, display_encode
+
+CODES = np.random.default_rng(1).integers(0, 256, (6, 9, 3), np.uint8)
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [("a.png", 0), ("a.tif", 0), ("a.webp", 0), ("a.jpg", 4)])
+def test_pictures_are_read_as_linear_light(tmp_path, name, tolerance):
+    Image.fromarray(CODES).save(tmp_path / name, lossless=True, quality=100, subsampling=0)
+    radiance = read_picture(tmp_path / name).radiance
+    assert np.abs(np.rint(255 * display_encode(radiance)) - CODES).max() <= tolerance
+
+
+def test_the_display_s_encoding_is_undone_exactly():
+    values = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose(display_decode(display_encode(values)), values, atol=1e-6)
+
+
+def test_exif_turns_the_picture_and_tells_the_lens(tmp_path):
+    image, exif = Image.fromarray(CODES), Image.Exif()
+    exif[0x0112] = 6
+    exif.get_ifd(0x8769).update({0xA405: 28, 0x829D: 1.8})
+    image.save(tmp_path / "a.png", exif=exif)
+    picture = read_picture(tmp_path / "a.png")
+    assert picture.radiance.shape == (9, 6, 3)
+    assert (picture.focal_length_35mm, picture.f_number) == (28.0, pytest.approx(1.8))
+
+
+def test_a_colour_profile_is_followed(tmp_path):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB"))
+    usual = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
+    Image.fromarray(CODES).save(tmp_path / "a.png", icc_profile=usual.tobytes())
+    same = np.rint(255 * display_encode(read_picture(tmp_path / "a.png").radiance))
+    assert np.abs(same - CODES).max() <= 1
+    Image.fromarray(CODES).save(tmp_path / "b.png", icc_profile=profile.tobytes())
+    with pytest.raises(InvalidFileError, match=r"b\.png: its colour profile cannot be used"):
+        read_picture(tmp_path / "b.png")
+
+
+def test_arrays_and_openexr_are_linear_and_integers_srgb(tmp_path):
+    linear = np.random.default_rng(2).random((4, 5, 3)).astype(np.float32)
+    np.save(tmp_path / "a.npy", linear)
+    sp.write_image(tmp_path / "a.exr", linear)
+    np.save(tmp_path / "codes.npy", CODES)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.npy").radiance, linear)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.exr").radiance, linear)
+    np.testing.assert_allclose(read_picture(tmp_path / "codes.npy").radiance, display_decode(CODES / 255.0), atol=1e-6)
+
+
+PLANE = np.linspace(0.1, 1.0, 12, dtype=np.float32).reshape(3, 4)
+
+
+def test_planes_of_all_formats_hold_the_same_values(tmp_path):
+    np.save(tmp_path / "a.npy", PLANE)
+    (tmp_path / "a.pfm").write_bytes(b"Pf\n4 3\n-1.0\n" + PLANE[::-1].astype("<f4").tobytes())
+    Image.fromarray(PLANE).save(tmp_path / "a.tif")
+    Image.fromarray(np.rint(65535 * PLANE).astype(np.uint16)).save(tmp_path / "a.png")
+    Image.fromarray(np.rint(255 * PLANE).astype(np.uint8)).save(tmp_path / "b.png")
+    from spreadlets.files.images import write_plane
+
+    write_plane(tmp_path / "a.exr", "Z", PLANE)
+    for name, tolerance in [("a.npy", 0), ("a.pfm", 0), ("a.tif", 0), ("a.exr", 0), ("a.png", 1e-5), ("b.png", 2e-3)]:
+        np.testing.assert_allclose(read_plane(tmp_path / name), PLANE, atol=tolerance, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.png", b"no picture"),
+        ("a.npy", b"no array"),
+        ("a.pfm", b"Pf\n4000 3000\n-1.0\nabc"),
+        ("a.pfm", b"PF\n1 1\n-1.0\n" + bytes(12)),
+        ("a.exr", b"no image"),
+        ("missing.png", None),
+    ],
+)
+def test_what_is_no_plane_is_refused_by_name(tmp_path, name, content):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidFileError, match=name.replace(".", r"\.")):
+        read_plane(tmp_path / name)
+
+
+def test_arrays_of_objects_and_of_other_shapes_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([{}], object), allow_pickle=True)
+    np.save(tmp_path / "b.npy", np.zeros((2, 3, 4, 5)))
+    with pytest.raises(InvalidFileError, match=r"a\.npy"):
+        read_plane(tmp_path / "a.npy")
+    with pytest.raises(InvalidFileError, match=r"one value for each pixel"):
+        read_plane(tmp_path / "b.npy")
+    with pytest.raises(InvalidFileError, match=r"a picture is \(H, W, 3\)"):
+        read_picture(tmp_path / "b.npy")

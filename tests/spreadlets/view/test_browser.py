@@ -1,0 +1,237 @@
+"""The page in a real browser: what a user does, and what is to be seen then."""
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from view_scene import DEPTHS, SHAPE
+
+import spreadlets as sp
+
+READY = "document.getElementById('status').textContent.startsWith('ready')"
+
+
+@pytest.fixture
+def page(chromium, command):
+    opened = chromium.new_page(viewport={"width": 1280, "height": 800})
+    opened.set_default_timeout(60_000)
+    wrong = []
+    opened.on("pageerror", lambda error: wrong.append(error))
+    opened.on("request", lambda request: wrong.append(request.url) if "127.0.0.1" not in request.url[:30] else None)
+    opened.goto(command)
+    opened.wait_for_function(READY)
+    yield opened
+    opened.close()
+    assert [each for each in wrong if not str(each).startswith(("data:", "blob:"))] == []
+
+
+def click(page, x, y, **options):
+    """Click on a pixel of the frame, and wait for the whole picture."""
+    box = page.locator("#picture").bounding_box()
+    scale = min(box["width"] / SHAPE[1], box["height"] / SHAPE[0])
+    left = box["width"] / 2 - scale * SHAPE[1] / 2
+    top = box["height"] / 2 - scale * SHAPE[0] / 2
+    act(page, lambda: page.click("#picture", position={"x": left + scale * x, "y": top + scale * y}, **options))
+
+
+def act(page, action):
+    """Do something, and wait for the whole picture of the request that it is."""
+    before = page.evaluate("asked")
+    action()
+    page.wait_for_function(
+        f"asked > {before} && {READY} && document.getElementById('status').textContent.includes(asked)"
+    )
+
+
+def shown(page):
+    """The picture's pixels, (H, W, 4)."""
+    values = page.evaluate(
+        "[...images.result.getContext('2d').getImageData(0, 0, images.result.width, images.result.height).data]"
+    )
+    return np.array(values, np.uint8).reshape(*SHAPE, 4)
+
+
+def set_range(page, name, value, *events):
+    page.evaluate(
+        "([name, value, events]) => { const input = document.getElementById(name); input.value = value;"
+        " for (const each of events) input.dispatchEvent(new Event(each)); }",
+        [name, value, events],
+    )
+
+
+def detail(picture, x, y):
+    """How sharp noise is around a place."""
+    return picture[y - 8 : y + 8, x - 8 : x + 8, :3].astype(float).std()
+
+
+def test_a_click_focuses_on_each_object_and_the_picture_follows(page):
+    objects = list(DEPTHS.items())[:3]
+    for (x, y), depth in objects:
+        click(page, x, y)
+        assert float(page.input_value("#focus")) == pytest.approx(depth, rel=1e-4)
+        picture = shown(page)
+        others = [detail(picture, *place) for place, other in objects if other != depth and other != 4.0]
+        # The third object moves: it stays blurred along its path.
+        assert detail(picture, x, y) > 1.5 * max(others) or depth == 4.0
+        assert f"--focus {depth:g}" in page.input_value("#command-line")
+
+
+def test_shift_and_click_keeps_two_objects_in_focus(page):
+    (first, near), (second, far) = list(DEPTHS.items())[:2]
+    click(page, *first)
+    alone = shown(page)
+    click(page, *second, modifiers=["Shift"])
+    both = shown(page)
+    assert (float(page.input_value("#near")), float(page.input_value("#far"))) == (near, far)
+    assert detail(both, *second) > 1.5 * detail(alone, *second)
+    assert detail(both, *first) == pytest.approx(detail(alone, *first), rel=0.1)
+
+
+def test_sixty_events_of_a_drag_end_with_the_picture_of_the_last(page):
+    act(page, lambda: set_range(page, "f-number", 4, "input", "change"))
+    expected = shown(page)
+    act(page, lambda: set_range(page, "f-number", 1, "input", "change"))
+    assert not np.array_equal(shown(page), expected)
+    before = page.evaluate("asked")
+    act(
+        page,
+        lambda: page.evaluate(
+            """async () => {
+              const input = document.getElementById("f-number");
+              for (let k = 0; k < 60; k++) {
+                input.value = 1 + (3 * (k + 1)) / 60;
+                input.dispatchEvent(new Event("input"));
+                await new Promise((done) => setTimeout(done, 4));
+              }
+              input.dispatchEvent(new Event("change"));
+            }"""
+        ),
+    )
+    assert page.evaluate("asked") == before + 61
+    np.testing.assert_array_equal(shown(page), expected)
+
+
+def test_a_drag_with_the_mouse_changes_the_f_number(page):
+    box = page.locator("#f-number").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
+
+    def drag():
+        page.mouse.down()
+        for step in range(1, 8):
+            page.mouse.move(box["x"] + (0.3 + 0.05 * step) * box["width"], box["y"] + box["height"] / 2)
+        page.mouse.up()
+
+    act(page, drag)
+    assert float(page.input_value("#f-number")) > 3.0
+    assert page.locator("label:has(#f-number) input[type=number]").input_value()
+
+
+def test_the_wipe_shows_the_reference_on_its_side(page):
+    def halves():
+        return page.evaluate(
+            """async () => {
+              await new Promise((done) => setTimeout(done, 100));
+              const canvas = document.getElementById("picture"), context = canvas.getContext("2d");
+              const { left, top, scale } = placement();
+              const at = (x) => [...context.getImageData(left + scale * x, top, 1, scale * hello.height).data];
+              return [at(10), at(hello.width - 10)];
+            }"""
+        )
+
+    before = halves()
+    act(page, lambda: set_range(page, "wipe", 50, "input", "change"))
+    page.select_option("#against", "pinhole")
+    after = halves()
+    assert after[0] != before[0] and after[1] == before[1]
+    page.select_option("#against", "reference")
+    page.wait_for_function("document.getElementById('metrics').textContent.includes('SSIM')")
+    page.select_option("#against", "difference")
+    assert np.array(halves()[0]).reshape(-1, 4)[:, :3].mean() < np.array(before[0]).reshape(-1, 4)[:, :3].mean()
+
+
+@pytest.mark.parametrize("key", ["[", "]", ",", ".", "+", "-", "o"])
+def test_shortcuts_change_what_they_say(page, key):
+    names = {
+        "[": "f_number",
+        "]": "f_number",
+        ",": "focus",
+        ".": "focus",
+        "+": "exposure",
+        "-": "exposure",
+        "o": "overlay",
+    }
+    before = page.evaluate(f"settings.{names[key]}")
+    act(page, lambda: page.keyboard.press(key))
+    after = page.evaluate(f"settings.{names[key]}")
+    assert after == "coc" if key == "o" else (after < before) == (key in "[,-")
+
+
+def test_overlay_exposure_and_layers_change_the_picture(page):
+    pictures = [shown(page)]
+    act(page, lambda: page.select_option("#overlay", "depth"))
+    pictures.append(shown(page))
+    act(page, lambda: page.select_option("#overlay", "none"))
+    act(page, lambda: set_range(page, "exposure", 1, "input", "change"))
+    pictures.append(shown(page))
+    act(page, lambda: set_range(page, "exposure", 0, "input", "change"))
+    act(page, lambda: set_range(page, "layers", 1, "change"))
+    assert "1 layers" in page.text_content("#status")
+    assert "--layers 1" in page.input_value("#command-line")
+    for number, one in enumerate(pictures):
+        for other in pictures[number + 1 :]:
+            assert not np.array_equal(one, other)
+
+
+def test_the_picture_is_saved_as_openexr(page, tmp_path):
+    with page.expect_download() as download:
+        page.click("#save")
+    download.value.save_as(tmp_path / "saved.exr")
+    assert sp.read_image(tmp_path / "saved.exr").shape == (*SHAPE, 4)
+
+
+def test_focus_keys_are_saved_as_cameras(page, tmp_path):
+    page.fill("#frame-number", "1")
+    page.click("#add-key")
+    click(page, 104, 30)
+    page.fill("#frame-number", "5")
+    page.click("#add-key")
+    assert page.locator("#keys li").count() == 2
+    with page.expect_download() as download:
+        page.click("#save-keys")
+    download.value.save_as(tmp_path / "cameras.zip")
+    with zipfile.ZipFile(tmp_path / "cameras.zip") as archive:
+        assert len(archive.namelist()) == 5
+        assert json.loads(archive.read("camera.0005.json"))["focus_distance_m"] == pytest.approx(4.0)
+
+
+def test_the_pointer_reads_a_pixel_and_the_wheel_zooms(page):
+    box = page.locator("#picture").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_function("document.getElementById('probe').textContent.includes('depth')")
+    page.mouse.wheel(0, -400)
+    page.wait_for_function("view.zoom > 0")
+    page.keyboard.press("0")
+    assert page.evaluate("view.zoom") == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (3840, 2160)])
+def test_the_page_fits_and_can_be_read_in_any_size_and_scheme(page, scheme, width, height):
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": height})
+    size, fits = page.evaluate(
+        "[parseFloat(getComputedStyle(document.body).fontSize), document.body.scrollWidth <= innerWidth]"
+    )
+    assert fits and size >= (13 if width == 1280 else 20)
+    ground, text = page.evaluate(
+        "[getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color]"
+        ".map((each) => Number(each.match(/\\d+/)[0]))"
+    )
+    assert abs(ground - text) > 150 and (ground > text) == (scheme == "light")
+
+
+def test_a_wrong_token_shows_no_page(chromium, command):
+    opened = chromium.new_page()
+    assert opened.goto(command[:-3] + "xyz").status == 403
+    opened.close()
