@@ -7,6 +7,7 @@ from skimage.io import imread
 
 from spreadlets.api import DensePsfs
 from spreadlets.cli import main as cli
+from spreadlets.cli.status import EXIT_BAD_INPUT
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.database import CellRecord, absent_record, open_database, write_database
 from spreadlets.reports import database_plot as plot
@@ -116,5 +117,5 @@ def test_info_draws_on_request(small_combined_path, tmp_path, monkeypatch, capsy
     monkeypatch.setattr(sys, "argv", ["spreadlets", *arguments[:3], str(tmp_path / "missing" / "quality.png")])
     with pytest.raises(SystemExit) as stop:
         cli.main()
-    assert stop.value.code == cli.EXIT_BAD_INPUT
+    assert stop.value.code == EXIT_BAD_INPUT
     assert "missing/quality.png: cannot be written: there is no folder" in capsys.readouterr().err
