@@ -118,6 +118,7 @@ class Options(Controls):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_method(self.method, METHODS)
+        # Method and solver.
         if self.integrator not in INTEGRATORS:
             raise InvalidParameterError(
                 f"integrator {self.integrator!r} is unknown: allowed are {', '.join(INTEGRATORS)}"
@@ -126,14 +127,17 @@ class Options(Controls):
             raise InvalidParameterError(
                 f"tolerance is {self.tolerance}: allowed are 0 (off) to below 1 (the displayed range)"
             )
+        # Layers of depth.
         if self.layers is not None and not 1 <= self.layers <= MAX_LAYERS:
             raise InvalidParameterError(f"layers is {self.layers}: allowed are 1 to {MAX_LAYERS}")
         if self.softness is not None and not 0.0 <= self.softness <= 1.0:
             raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
+        # What is done to the image.
         if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
             raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, inf for off")
         if self.denoise is not None and self.denoise not in DENOISERS:
             raise InvalidParameterError(f"denoise is {self.denoise!r}: allowed are {', '.join(DENOISERS)}, or none")
+        # Size, region and focus.
         if not LEAST_PROXY <= self.proxy <= 1.0:
             raise InvalidParameterError(f"{option('proxy')} is {self.proxy}: allowed are 1/64 to 1, the whole size")
         if self.region is not None and not (len(self.region) == 4 and min(self.region[2:]) >= 1):

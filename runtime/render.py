@@ -165,6 +165,7 @@ def _drawn_by_depth(
     closed: bool,
 ) -> list[Image]:
     """Draw frames of one layer, divided by depth; all by the plan of the first, which is opaque if ``closed``."""
+    # Divide by depth, and plan the first frame.
     with clock.step("plan"):
         divided = divide_frames(
             shown,
@@ -179,6 +180,7 @@ def _drawn_by_depth(
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)
         plans = [plan, *(plan.coloured(each) for each in others)]
         visibility = ShareBeyond(first, plan, divided.known, divided.n_hidden) if plan.n_layers > 1 else None
+    # Draw all frames by that plan.
     images = [np.zeros((*shown[0].shape, 4), np.float32) for _ in shown]
     for image, each in zip(images, plans, strict=True):
         counted = tally if each is plan else Tally()

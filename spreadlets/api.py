@@ -277,6 +277,7 @@ def reconstruct(
         check_method,
     )
 
+    # Check the method, and that samples and camera fit.
     method = options.get("method", "spreadlets")
     check_method(method, RECONSTRUCTION_METHODS)
     check_for_samples(options)
@@ -285,9 +286,11 @@ def reconstruct(
     squares = squared_samples(samples)
     if settings and method not in PUBLISHED_METHODS:
         raise InvalidParameterError(f"method {method!r} has no settings; those with are {', '.join(PUBLISHED_METHODS)}")
+    # Methods without splatting need no database.
     if method not in METHODS:
         image, figures = _without_splatting(squares, camera, method, settings or {}, clock, progress, options)
     else:
+        # Splat.
         chosen = Options.of(**options)
         with _opened(database, chosen.motion and bool(samples.motion.any())) as opened:
             image, figures = render.reconstruct(squares, camera, opened, chosen, clock, *full_psfs(opened, chosen))

@@ -306,8 +306,10 @@ class Renderer:
             frames = [without(each, mask) for each in whole]
         if options.max_coc is not None:
             options = replace(options, max_coc=options.max_coc * options.proxy)
+        # Open the database for what moves.
         with self._lock:
             database = self._open(options.motion and any(layer.has_motion for layer in frames[0].layers))
+        # Render; PSFs that the database lacks are built, and then once more.
         try:
             psfs = full_psfs(database, options)
             neighbours = [smaller(each, options.proxy) for each in self._neighbours]

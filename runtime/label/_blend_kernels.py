@@ -198,12 +198,14 @@ def mend_element(begin, end, depth, alpha, surface, source, mended):
             mended[row, col] = depth[row, col]
             if not 0.0 < alpha[row, col] < 1.0:
                 continue
+            # Find the pixel around it that shows most of the surface, and where its depth is known.
             most, best = (row, col), alpha[row, col]
             for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
                 for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
                     if alpha[i, j] > best and not math.isnan(surface[i, j]):
                         most, best = (i, j), alpha[i, j]
             source[row, col, 0], source[row, col, 1] = most
+            # Take the surface's depth for one that lies behind it.
             own = surface[row, col] if not math.isnan(surface[row, col]) else surface[most]
             if 0.0 < own < depth[row, col]:
                 mended[row, col] = own

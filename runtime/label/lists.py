@@ -69,6 +69,7 @@ def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixel
     pixels : Pixels
         The last row is filled up with the first pixel, of weight 0.
     """
+    # Fill rows with the numbers of the pixels.
     n_rows = -(-len(chosen) // LIST_WIDTH)
     index = np.zeros((n_rows, LIST_WIDTH), np.int64)
     index.ravel()[: len(chosen)] = chosen
@@ -77,6 +78,7 @@ def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixel
     at = in_frame if view.places is None else _taken(view.places.at, index)
     weight = _taken(pixels.weight, index)
     weight.ravel()[len(chosen) :] = 0.0
+    # Take what is known of them.
     before, after, depth = layer.motion_prev, layer.motion_next, _taken(layer.depth, index)
     nearer, farther = layer.depth_prev, layer.depth_next
     part = replace(

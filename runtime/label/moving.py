@@ -86,12 +86,14 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
     """Return the number of steps of each pixel, a power of 2, or None if nothing asks for any."""
     if not camera.shutter_duration:
         return None
+    # Find what changes at all.
     moves = effects.motion and layer.has_motion
     bends = moves and layer.motion_prev is not None and layer.motion_next is not None
     refocuses = effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
     if not (bends or refocuses or (moves and not effects.swept)):
         return None
     count = np.ones(pixels.labels.coc.shape, np.int32)
+    # Follow bends by chords, changes of blur by steps, and the ways of what is not swept by places.
     if bends:
         limits = camera.shutter_duration, CHORD_TOLERANCE, MOST_CHORDS
         for_bands(_label_kernels.count_segments, len(count), layer.motion_prev, layer.motion_next, *limits, count)

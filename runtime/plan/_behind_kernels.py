@@ -103,6 +103,7 @@ def add_features(begin, end, layer, farther, radiance, weight, blur, depths, mot
                 continue
             part = _part(layer, farther, weight, row, col, number)
             out = features[row, col]
+            # Colour and alpha by the pixel's share in the layer; all else by what it covers.
             for c in range(COLOUR):
                 out[c] += part * radiance[row, col, c]
             cover = part * radiance[row, col, 3]
@@ -114,6 +115,7 @@ def add_features(begin, end, layer, farther, radiance, weight, blur, depths, mot
                 out[c] += cover * motion[row, col, 0]
                 out[c + 1] += cover * motion[row, col, 1]
                 c += 2
+            # How far it blurs comes last.
             out[BLUR] += cover * blur[row, col]
 
 
@@ -285,6 +287,7 @@ def spread_places(begin, end, nearer, features, corner, places, unlike, new_plac
         for across in range(cols):
             best, place = unlike[number, across], new_places[number, across]
             place[0], place[1] = places[number, across, 0], places[number, across, 1]
+            # Try the neighbours' places.
             if best >= 0.0:
                 start = best
                 top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
@@ -298,6 +301,7 @@ def spread_places(begin, end, nearer, features, corner, places, unlike, new_plac
                         each = _unlikeness(nearer, features, top, left, down, right, best)
                         if each < best:
                             best, place[0], place[1] = each, down, right
+                # Refine what was better.
                 if best < start:
                     best = _refine(nearer, features, top, left, 2, best, place)
             new_unlike[number, across] = best
@@ -354,6 +358,7 @@ def _copy(nearer, features, corner, places, unlike, row, col, value):
     height, width = nearer.shape
     y = (row + corner[0] % BLOCK + 0.5) / BLOCK - 0.5
     x = (col + corner[1] % BLOCK + 0.5) / BLOCK - 0.5
+    # Find the four blocks around the pixel.
     above, before = math.floor(y), math.floor(x)
     value[:] = 0.0
     total = 0.0
@@ -361,12 +366,14 @@ def _copy(nearer, features, corner, places, unlike, row, col, value):
         i, j = above + k // 2, before + k % 2
         if not (0 <= i < unlike.shape[0] and 0 <= j < unlike.shape[1]) or not 0.0 <= unlike[i, j] <= LIKE:
             continue
+        # Look up its place in what the block was found to be like.
         there_row, there_col = row + places[i, j, 0], col + places[i, j, 1]
         if not (0 <= there_row < height and 0 <= there_col < width):
             continue
         seen = 1.0 - nearer[there_row, there_col]
         if seen < MOSTLY_SEEN:
             continue
+        # Blend, the more alike counting more.
         weight = (y - above if k // 2 else 1.0 - (y - above)) * (x - before if k % 2 else 1.0 - (x - before))
         weight /= LEAST_UNLIKE + unlike[i, j]
         total += weight

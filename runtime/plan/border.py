@@ -48,6 +48,7 @@ def extended_pass(
         multiples of the largest stride, counted so, as those of every pass: so blocks fit one canvas, and are the same
         whatever part of the picture the frame is.
     """
+    # Find how far the PSFs along each side reach back, in whole blocks of the grid.
     height, width = frame.label.shape
     top = bottom = left = right = 0
     if colours is not None and len(reach):
@@ -56,6 +57,7 @@ def extended_pass(
         top, left = (side + (at - side) % STRIDES[-1] for side, at in zip((top, left), corner, strict=True))
     elif not len(share):
         return frame
+    # Repeat labels and weights outwards.
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
     nothing = np.zeros((0, 4), np.float32)

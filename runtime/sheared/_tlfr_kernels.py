@@ -374,6 +374,7 @@ def add_surface(trajectories, near, begin, end, radius, layers, sums):
 
     Its layer is that of the nearest of its samples.
     """
+    # Sum the weights of the surface's samples, and find the nearest.
     total = np.float32(0)
     nearest, distance = begin, np.float32(np.inf)
     for k in range(begin, end):
@@ -387,6 +388,7 @@ def add_surface(trajectories, near, begin, end, radius, layers, sums):
         for channel in range(4):
             sums[layer, channel] += trajectories.colour[near.number[nearest], channel]
         return
+    # Add their mean, weighted by a tent.
     for k in range(begin, end):
         away = math.sqrt(near.offset[k, 0] ** 2 + near.offset[k, 1] ** 2)
         weight = max(np.float32(1) - away / radius, np.float32(0)) / total
@@ -402,6 +404,7 @@ def add_view(x, y, radius, trajectories, views, grid, near, sums):
     that has a triangle of samples over the place, or else the farthest.
     """
     path, half_shutter, tolerance = trajectories.path, views.half_shutter, views.tolerance
+    # Most views show one surface within the radius.
     n = fetch(grid, x, y, radius, near)
     if n > 0:
         if are_alike(path, near, n, half_shutter, tolerance):
@@ -412,6 +415,7 @@ def add_view(x, y, radius, trajectories, views, grid, near, sums):
         if n_surfaces == 1 or fills_quadrants(near.offset, 0, near.begin[1]):
             add_surface(trajectories, near, 0, near.begin[1], radius, views.near, sums)
             return
+    # Else the first surface that covers the view within twice the radius is seen.
     n = fetch(grid, x, y, np.float32(2) * radius, near)
     if n == 0:
         return

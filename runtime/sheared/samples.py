@@ -71,14 +71,17 @@ class Samples:
         -------
         Samples
         """
+        # Find each sample's place on the screen.
         there = buffer.valid.ravel()
         height, width = buffer.shape
         rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None, None], buffer.depth.shape)
         cols = np.broadcast_to(np.arange(width, dtype=np.float32)[None, :, None], buffer.depth.shape)
         place = _those(np.stack([cols, rows], axis=-1) + buffer.offset, there)
         shown = buffer.raster.display.width
+        # Find its CoC radius, and its time from the middle of the shutter.
         coc = buffer.coc_radius if buffer.coc_radius is not None else camera.coc_radius(buffer.depth, shown)
         time = buffer.time - np.float32(camera.shutter_centre)
+        # List the valid samples pixel by pixel.
         samples = cls(
             colour=_those(buffer.radiance, there),
             place=place,
@@ -101,10 +104,12 @@ class Samples:
     def _without(self, *, defocus: bool, motion: bool) -> Samples:
         """Return the samples moved to where they lie without an effect, in their new order."""
         place, coc, path = self.place, self.coc, self.motion
+        # Undo the displacement over the lens, and over time.
         if not defocus:
             place, coc = place - coc[:, None] * self.lens, np.zeros_like(coc)
         if not motion:
             place, path = place - path * self.time[:, None], np.zeros_like(path)
+        # Sort the samples into the pixels that they are moved to.
         height, width = self.shape
         col = np.clip(np.rint(place[:, 0]).astype(np.int64), 0, width - 1)
         row = np.clip(np.rint(place[:, 1]).astype(np.int64), 0, height - 1)

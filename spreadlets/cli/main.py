@@ -46,6 +46,7 @@ class _Notices(logging.Handler):
 
 def main() -> None:
     """Run the command line; warnings and notices become lines on standard error."""
+    # Warnings and notices become lines on standard error.
     warnings.showwarning = _show_warning
     logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
     logging.getLogger("spreadlets").setLevel(logging.INFO)

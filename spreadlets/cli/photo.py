@@ -80,13 +80,16 @@ def photo(
     from spreadlets.photograph.photograph import photo as make
     from spreadlets.runtime.clock import Clock
 
+    # Check what is written before anything is read.
     check_bit_depth(output, bit_depth)
     shape = take_bokeh(options, None)
     check_outputs([output], [each for each in (image, depth, mask, shape.get("kernel")) if each])
+    # Read the picture and its depth.
     clock = Clock()
     with clock.step("read"):
         picture, values = read_picture(image), read_plane(depth)
         held = None if mask is None else read_plane(mask)
+    # Blur and write it.
     with progress_bar("building", quiet=as_json) as progress:
         result = make(
             picture.radiance,

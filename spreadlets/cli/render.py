@@ -99,6 +99,7 @@ def synth(
     if any(map(is_pattern, frames)) and not all(map(is_pattern, hidden_from)):
         raise click.UsageError("of a sequence, --hidden-from is one, too, such as frame.####.exr")
 
+    # Sort the options by what takes them.
     sequence, reading, lens = take_sequence(options), take_reading(options), take_camera(options)
     database = options.pop("database")
     aperture = take_bokeh(options, database)

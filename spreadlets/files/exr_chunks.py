@@ -211,6 +211,7 @@ def add_attributes(
         Names of attributes that give way.
     """
     with open(path, "rb") as file:
+        # Read headers, offsets and chunks.
         found = read_attributes(file)
         file.seek(0)
         multi_part, _, tables = _tables(file)
@@ -218,6 +219,7 @@ def add_attributes(
         begin = file.tell() - len(chunks)
         file.seek(0)
         magic, version = struct.unpack("<iI", _exactly(file, 8))
+    # Add the attributes to the headers.
     headers = []
     for own, added in zip(found, parts, strict=True):
         kept = {name: each for name, each in own.items() if name not in replacing or name not in added}
@@ -226,6 +228,7 @@ def add_attributes(
         version |= LONG_NAMES
     stored = [b"".join(_stored_attribute(*item) for item in header.items()) + b"\0" for header in headers]
     head = struct.pack("<iI", magic, version) + b"".join(stored) + (b"\0" if multi_part else b"")
+    # Shift the offsets by what the headers have grown.
     offsets = [offset for table in tables for offset in table]
     shift = len(head) + 8 * len(offsets) - begin
     with open(path, "wb") as file:
@@ -259,6 +262,7 @@ def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], mult
     lines: dict[int, dict[str, npt.NDArray[np.float32]]] = {}
     bytes_per_sample = sum(dtype.itemsize for dtype in header.types.values())
     for offset in offsets:
+        # Read a chunk's header, and the counts of its line.
         y, packed_counts, packed_samples, unpacked = _chunk_header(file, offset, multi_part)
         if not top <= y <= bottom or y in lines:
             raise ValueError(f"there is a line {y}")
@@ -267,6 +271,7 @@ def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], mult
         n = int(running[-1])
         if (counts[y - top] < 0).any() or n * bytes_per_sample != unpacked:
             raise ValueError(f"the counts of line {y} are wrong")
+        # Unpack its samples, one channel after the other.
         samples = _unpacked(file, packed_samples, unpacked, header.compression)
         lines[y] = {}
         begin = 0
@@ -274,6 +279,7 @@ def _deep_part(file: BinaryIO, header: _PartHeader, offsets: Sequence[int], mult
             values = np.frombuffer(samples, dtype, n, begin)
             lines[y][name] = values.astype(np.float32)
             begin += values.nbytes
+    # Put the lines in order.
     ordered = [lines[y] for y in range(top, bottom + 1)]
     return DeepPart(counts, {name: np.concatenate([line[name] for line in ordered]) for name in header.types})
 
@@ -357,6 +363,7 @@ def _headers(file: BinaryIO, version: int) -> list[_PartHeader]:
 
 def _part_header(attributes: Mapping[str, bytes], tiled: bool) -> _PartHeader:
     """Return what a header says; `tiled` if the file says that its only part is."""
+    # Count the chunks.
     window: tuple[int, int, int, int] = struct.unpack("<4i", attributes["dataWindow"])
     compression, tile = attributes["compression"][0], None
     n_chunks = -((window[1] - window[3] - 1) // LINES_PER_CHUNK.get(compression, 1))
@@ -369,6 +376,7 @@ def _part_header(attributes: Mapping[str, bytes], tiled: bool) -> _PartHeader:
         (n_chunks,) = struct.unpack("<i", attributes["chunkCount"])
     if n_chunks < 0:
         raise ValueError("a part has a negative number of chunks")
+    # List the channels with their types.
     types: dict[str, np.dtype[Any]] = {}
     names = attributes["channels"]
     while names and names[0]:

@@ -144,6 +144,7 @@ class ExrFile:
     def check_size(self, *, deep: bool = False) -> None:
         """Raise InvalidFileError if the file is larger than `MAX_VALUES`, or deep if that is not allowed."""
         display = window(self.headers[0]["displayWindow"])
+        # Refuse kinds of parts and windows that are not read.
         for header in self.headers:
             if is_deep(header) and not deep:
                 raise InvalidFileError(f"{self.path}: holds a deep image; only flat images can be read here")
@@ -153,6 +154,7 @@ class ExrFile:
                 raise InvalidFileError(f"{self.path}: has an empty window")
             if window(header["displayWindow"]) != display:
                 raise InvalidFileError(f"{self.path}: its parts have different display windows")
+        # Count the values that the parts promise, and the bytes that they must hold.
         total = sum(_promised(header) for header in self.headers)
         if self.is_deep:
             total += deep_sample_bytes(self._handle) // FLOAT_BYTES

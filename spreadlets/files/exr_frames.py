@@ -120,6 +120,7 @@ def read_frame(
     ...     sp.read_frame(["frame.exr", "frame.exr"])  # two files are two depth layers
     Frame(4 x 6 px, 2 layers)
     """
+    # Read the headers, and passes of their own.
     chosen = ReadOptions.of(options, **keywords)
     with opened(paths) as files:
         return frame_of(files, read_passes(chosen), chosen)
@@ -345,6 +346,7 @@ def _merged_deep(files: Sequence[ExrFile], options: ReadOptions) -> Frame:
 
 def _read_deep(part: DeepPart, found: Recognised, raster: Raster, options: ReadOptions) -> DeepImage:
     """Return the samples of a deep part of a file, in the data window of a raster."""
+    # Name the channels that were recognised.
     image = found.colour.image
     path = image.path
     names = {"colour": found.colour.channels, "alpha": found.colour.alpha, "depth": found.depth.channels}
@@ -353,6 +355,7 @@ def _read_deep(part: DeepPart, found: Recognised, raster: Raster, options: ReadO
     data = image.planes[found.colour.channels[0]].window
     if part.counts.shape != data.shape:
         raise InvalidFileError(f"{path}: its header is malformed: the library takes the data window for another")
+    # Convert them to planar depth and px per frame.
     scale, shape = replace(options.scale, raster=raster), raster.data.shape
     try:
         samples, dropped = deep_image(
@@ -367,6 +370,7 @@ def _read_deep(part: DeepPart, found: Recognised, raster: Raster, options: ReadO
         )
     except (InvalidFrameError, InvalidParameterError) as error:
         raise type(error)(f"{path}: {error}") from None
+    # Tell what was lost.
     if dropped:
         text = f"{path}: {dropped} invalid deep samples were mended, or dropped where the colour is invalid"
         warnings.warn(text, stacklevel=5)
@@ -406,21 +410,25 @@ def _mean_motion(found: Found | None, channels: FloatArray, shape: tuple[int, in
 
 def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     """Return one layer of labelled pixels; its errors start with the file's path."""
+    # Recognise the channels.
     found = recognise(image, options, passes)
     raster = found.colour.image.raster(found.colour.channels[0])
     scale = replace(options.scale, raster=raster)
     radiance = _radiance(found.colour, options.unpremultiplied, raster.data)
     _warn(image, found)
     try:
+        # Find where nothing was seen.
         stored = _label("depth", found.depth, found.colour.image, raster.data, 1.0)[..., 0]
         nothing = ~covered(found.depth.image, found.depth.channels[0], raster.data)
         if options.background_depth is not None:
             nothing |= background_places(options.background_depth, stored)
         seen = ~nothing if radiance.shape[2] == 3 else ~nothing & (radiance[..., 3] > 0)
+        # Warn if the depth looks like another convention.
         planar_told = options.preset is not None and found.depth.convention == "planar"
         told = options.depth_convention is not None or planar_told
         if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, seen, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
+        # Convert depth and motion to ours.
         planar = np.where(nothing, BACKGROUND_DEPTH, planar_depth(found.depth.convention, stored, scale))
         labels = {}
         if found.motion is not None:

@@ -149,6 +149,7 @@ def write_samples(path: PathLike, samples: SampleBuffer) -> None:
 
 def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
     """Return the samples of an OpenEXR file, one per part."""
+    # Read the parts, and check that each has what a sample needs.
     images = {part.name: merged(file.path, [part]) for part in file.parts}
     for name, image in images.items():
         missing = [channel for channel in NEEDED if channel not in image.planes]
@@ -157,11 +158,13 @@ def _samples_of(file: ExrFile, repair: bool) -> SampleBuffer:
                 f"{file.path}: part {name!r} lacks {', '.join(missing)}; every sample needs {', '.join(NEEDED)}. "
                 f"Channels found: {', '.join(sorted(image.planes))}"
             )
+    # Find the channels that all have.
     first = next(iter(images.values()))
     colours = ("R", "G", "B", "A") if all("A" in image.planes for image in images.values()) else ("R", "G", "B")
     there = [label for label, names in CHANNELS.items() if set(names) <= first.planes.keys()]
     for image in images.values():
         check_same_window(image, [*colours, *(name for label in there for name in CHANNELS[label])])
+    # Stack the samples in the smallest window that holds all.
     windows = [image.raster("R").data for image in images.values()]
     raster = replace(first.raster("R"), data=functools.reduce(Window.union, windows))
     labels = {label: _stacked(images, CHANNELS[label], raster.data) for label in there}

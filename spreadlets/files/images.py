@@ -113,10 +113,12 @@ def write_image(
     (4, 6, 4)
     >>> sp.write_image("image.jpg", np.full((4, 6, 3), 0.18))
     """
+    # Find the file's kind.
     image = image_array("radiance", radiance)
     raster = raster or Raster.of_shape((image.shape[0], image.shape[1]))
     check_bit_depth(path, bit_depth)
     if image_extension(path) != OPENEXR:
+        # Display pictures: what is seen, in the primaries of the screen.
         for name, value in (("half", half), ("metadata", metadata), ("channels", channels)):
             if value:
                 raise InvalidParameterError(f"{path}: {name} is for OpenEXR; name it {OPENEXR}")
@@ -124,6 +126,7 @@ def write_image(
         own = chromaticities(raster.attributes)
         _write_picture(path, shown if own is None else to_rec_709(shown, own), image_extension(path), bit_depth or 8)
         return
+    # OpenEXR: windows, header and channels, then the attributes of the file that was read.
     header = {**_checked_metadata(metadata or {}), **part_header()}
     window = raster.written(image)
     stored = _stored(placed(image, raster.data, window), half or bit_depth == 16)

@@ -61,6 +61,7 @@ def frame_info(path: Source, options: ReadOptions | None = None) -> dict[str, An
     InvalidFileError
         If the file cannot be read at all.
     """
+    # Buffers of samples have their own report.
     options = options or ReadOptions()
     if isinstance(path, ExrFile):
         return _exr_info(path, options)
@@ -70,12 +71,15 @@ def frame_info(path: Source, options: ReadOptions | None = None) -> dict[str, An
 
 def _exr_info(file: ExrFile, options: ReadOptions) -> dict[str, Any]:
     """Return what an OpenEXR file holds and what was recognised."""
+    # Buffers of samples have their own report.
     parts = [_part_info(header) for header in file.headers]
     if all({"lens.u", "lens.v", "time"} <= set(part["channels"]) for part in parts):
         return _samples_info(file, parts)
+    # Try to read the frame.
     passes = read_passes(options)
     said, problems, frame = _tried(file, passes, options)
     report: dict[str, Any] = {}
+    # Find what each layer is recognised as.
     if file.is_deep:
         index, image = deep_header(file, options)
         layers = [_pieces(image, options, Passes())]
@@ -83,6 +87,7 @@ def _exr_info(file: ExrFile, options: ReadOptions) -> dict[str, Any]:
         report["samples_per_pixel"] = [int(counts.min()), int(counts.max())]
     else:
         layers = [_pieces(image, settings, passes) for image, settings in flat_layers(file, options)]
+    # Describe the frame and its layers.
     kind = "deep" if file.is_deep else "layers" if len(layers) > 1 else "frame"
     height, width = layers[0].image.shape
     report = {"kind": kind, "width": width, "height": height, "parts": parts} | report
@@ -93,8 +98,10 @@ def _exr_info(file: ExrFile, options: ReadOptions) -> dict[str, Any]:
         _layer_info(piece) | (_ranges(piece, shown[index], options) if index < len(shown) else {})
         for index, piece in enumerate(layers)
     ]
+    # Collect problems and doubts.
     problems = list(dict.fromkeys([*(text for piece in layers for text in piece.problems), *problems]))
     warnings = list(dict.fromkeys([*said, *(text for piece in layers for text in piece.doubts)]))
+    # Fit the camera.
     if options.camera is not None:
         parts_read = layers[0].image.parts
         aspect = parts_read[0].pixel_aspect if parts_read else 1.0
@@ -147,11 +154,13 @@ def _pieces(image: Image, options: ReadOptions, passes: Passes) -> _Pieces:
             problems.append(str(error))
             return None
 
+    # If the whole is recognised, that is all.
     whole = attempt(lambda: recognise(image, options, passes))
     if whole is not None:
         doubts = tuple(f"{image.path}: {doubt}" for doubt in whole.doubts)
         return _Pieces(whole.colour.image, whole.colour, whole.depth, whole.motion, doubts, ())
     problems.clear()
+    # Else look for each piece by itself.
     view = attempt(lambda: image.of_view(options.view)) or image
     colour = attempt(lambda: find_colour(view, options, passes.alpha))
     depth = motion = None
@@ -210,12 +219,14 @@ def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> di
     def joined(arrays: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([array[seen] for array, seen in zip(arrays, visible, strict=True)])
 
+    # Colour, and depth in metres.
     depth = joined([layer.depth for layer in chosen])
     report["colour"] |= _range(joined([layer.radiance[..., :3] for layer in chosen]))
     report["depth"] |= {f"{name}_m": value for name, value in _range(depth).items() if name != "not_finite"}
     report["depth"] |= {"background": int(np.count_nonzero(np.isinf(depth)))}
     if found.depth is not None and found.depth.image.planes[found.depth.channels[0]].pixels.size:
         report["depth"] |= _bad_depths(found.depth, visible[0], options)
+    # Motion, in px per frame.
     if found.motion is not None:
         paths = [
             [path for path in (layer.motion, layer.motion_prev, layer.motion_next) if path is not None]

@@ -104,11 +104,13 @@ def read_tlfr(file: BinaryIO, *, shutter: tuple[float, float] | None = None, rep
     InvalidParameterError
         If the shutter does not stay open.
     """
+    # Read the table, and sort its samples into their pixels.
     opens, closes = _checked_shutter(shutter or ThinLens.shutter)
     header = _read_header(file)
     table = _read_binary(file, header) if header.binary else _read_text(file, header)
     samples, valid = _in_pixels(file.name, table, header)
     column = {name: samples[..., index] for index, name in enumerate(COLUMNS)}
+    # Convert it to our labels.
     lens = samples[..., 4:6]
     with np.errstate(all="ignore"):  # bad values are found by the validation
         coc = header.coc[0] / column["w"] + header.coc[1]
@@ -169,11 +171,13 @@ def write_tlfr(
     >>> sp.read_samples("samples", camera=camera).n_samples
     2
     """
+    # Check what the format cannot hold.
     if not samples.valid.all():
         missing = int(np.count_nonzero(~samples.valid))
         raise InvalidFrameError(f"{missing} samples are missing; TLFR needs the same number in every pixel")
     shutter = _checked_shutter(ThinLens.shutter if camera is None else camera.shutter)
     coefficients = _coc_coefficients(samples, camera)
+    # Lay out the table and its header.
     table = _table(samples, shutter, coefficients).reshape(-1, len(COLUMNS))
     height, width = samples.shape
     header = (
@@ -182,6 +186,7 @@ def write_tlfr(
         f"CoC coefficients (coc radius = C0/w+C1): {coefficients[0]:.9g},{coefficients[1]:.9g}\n"
         f"Encoding = {'binary' if binary else 'text'}\n{','.join(COLUMNS)}\n"
     )
+    # Write both.
     with atomic_path(path, ".tlfr") as temporary:
         if binary:
             table.astype("<f4").tofile(temporary)
@@ -217,6 +222,7 @@ def _read_header(file: BinaryIO) -> _Header:
         text = text[:start]
     if len(text) > MAX_HEADER_BYTES:
         raise InvalidFileError(f"{name}: is larger than {MAX_HEADER_BYTES} bytes: this is not a TLFR header")
+    # Parse its entries.
     version = _entry(name, text, r"Version\s+(\S+)", "Version")
     if version != VERSION:
         raise InvalidFileError(f"{name}: is of version {version}; only {VERSION} can be read")
@@ -234,6 +240,7 @@ def _read_header(file: BinaryIO) -> _Header:
         coc = float(pair[0]), float(pair[1])
     except (ValueError, IndexError):
         raise InvalidFileError(f"{name}: the CoC coefficients are {','.join(pair)!r}; two numbers are needed") from None
+    # Check the size that it promises.
     header = _Header(width, height, samples, coc, word == "binary", start)
     if not 0 < header.n_samples * len(COLUMNS) <= MAX_VALUES:
         raise InvalidFileError(
@@ -379,6 +386,7 @@ def _coc_coefficients(samples: SampleBuffer, camera: ThinLens | None) -> tuple[f
 
 def _table(samples: SampleBuffer, shutter: tuple[float, float], coefficients: tuple[float, float]) -> FloatArray:
     """Return the 16 columns of every sample, (H, W, S, 16)."""
+    # Scale time to 0 to 1 over the shutter.
     duration = shutter[1] - shutter[0]
     t = (samples.time.astype(np.float64) - shutter[0]) / duration
     if ((t < -TIME_TOLERANCE) | (t > 1 + TIME_TOLERANCE)).any():
@@ -387,13 +395,16 @@ def _table(samples: SampleBuffer, shutter: tuple[float, float], coefficients: tu
             f"{shutter[0]:g} to {shutter[1]:g}"
         )
     t = np.clip(t, 0, 1)
+    # Place the samples on the screen.
     rows, cols = np.mgrid[: samples.shape[0], : samples.shape[1]] + 0.5
     xy = samples.offset + np.stack([cols, rows], axis=2)[:, :, None]
     w = np.minimum(samples.depth, FAR_W).astype(np.float64)
+    # Turn the path on the screen into a velocity in space: places are projected by 1 / w.
     dw = _depth_change(samples, w, t)
     centre = xy - (coefficients[0] / w + coefficients[1])[..., None] * samples.lens_uv
     ends = ((w - t * dw) * (w + (1 - t) * dw))[..., None]
     velocity = (duration * samples.motion * ends + (centre * (w * dw)[..., None])) / w[..., None]
+    # Fill the columns.
     table = np.zeros((*samples.depth.shape, len(COLUMNS)), np.float32)
     table[..., 0:2], table[..., 3], table[..., 4:6], table[..., 6] = xy, w, samples.lens_uv, t
     table[..., 7:11], table[..., 11:13], table[..., 13] = samples.radiance, velocity, dw

@@ -47,11 +47,13 @@ class Reconstruction(Job):
         from spreadlets.runtime.clock import Clock
         from spreadlets.scene.raster import placed
 
+        # Read camera, samples and reference.
         path, clock = self.inputs[0], Clock()
         with clock.step("read"):
             lens = camera_of(self.camera, self.lens, path)
             buffer = read_samples(path, camera=lens, repair=self.repair)
             truth = read_image(self.reference) if self.reference else None
+        # Clean the samples by the database that suits them.
         given = buffer.take(self.spp) if self.spp else buffer
         moving = bool(self.rendering.get("motion", True)) and bool(given.motion.any())
         database = kept_database(self.database or default_database(moving))
@@ -59,6 +61,7 @@ class Reconstruction(Job):
         image, report = reconstruct(given, lens, database, **options, report=True)
         if buffer.dropped_samples:
             warnings.warn(f"{buffer.dropped_samples} invalid samples were dropped", stacklevel=1)
+        # Compare and write the image.
         raster = buffer.raster
         figures = {}
         if truth is not None:

@@ -118,6 +118,7 @@ def run_sequence(
     StoppedError
         If the cluster is lost. The same call goes on.
     """
+    # Leave out what is there.
     begin = time.perf_counter()
     frames = [Frame(number, job.numbered(number).absolute()) for number in numbers]
     entries: dict[int, dict[str, Any]] = {
@@ -125,6 +126,7 @@ def run_sequence(
         for frame in frames
         if os.path.isfile(frame.job.output) and not overwrite
     }
+    # Make the others, in whatever order workers are done.
     missing = [frame for frame in frames if frame.number not in entries]
     progress(len(entries), len(frames))
     for number, entry in _made(missing, jobs, scheduler):
@@ -132,6 +134,7 @@ def run_sequence(
         progress(len(entries), len(frames))
     for folder in {os.path.dirname(path) for frame in missing for path in frame.job.writes}:
         remove_leftovers(folder)
+    # Report in the order of the frames.
     reports = [entries[number] for number in numbers]
     skipped = sum(entry["skipped"] for entry in reports)
     failed = [entry["frame"] for entry in reports if "error" in entry]

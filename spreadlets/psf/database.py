@@ -162,6 +162,7 @@ class Database:
         InvalidDatabaseError
             If points cannot be read, or are not finite, or lie too far out.
         """
+        # Refuse what was left out of the build.
         index = np.array([self.cell_start[cell] + pose for cell, pose in cells], np.int64)
         absent = np.flatnonzero(self.point_start[index] == self.point_start[index + 1])
         if len(absent):

@@ -60,6 +60,7 @@ def smaller_raster(raster: Raster, share: float) -> Raster:
 
 
 def _smaller_layer(layer: Layer, raster: Raster) -> Layer:
+    # Take the labels of the pixels in the middle of each reduced one; motion shrinks with the frame.
     rows, cols = (_middles(*sizes) for sizes in zip(layer.shape, raster.data.shape, strict=True))
     place = np.ix_(rows, cols)
     ratios = [after / before for after, before in zip(raster.data.shape, layer.shape, strict=True)]

@@ -155,6 +155,7 @@ def _repeated(layer: Layer, grid: Grid, pixels: Window, raster: Raster) -> Layer
     def scale(motion: FloatArray) -> FloatArray:
         return repeat(motion) * np.array(grid.per_pixel, np.float32)
 
+    # Motions grow with the squares; colours and depths are repeated.
     before, after = layer.motion_prev, layer.motion_next
     nearer, farther = layer.depth_prev, layer.depth_next
     return replace(

@@ -157,6 +157,7 @@ class _TcpServer(_Limited, socketserver.TCPServer):
 
 def _bound(port: int, path: str | None) -> Any:
     """Return a server of sockets that listens."""
+    # Listen on a port of this machine.
     if path is None:
         try:
             return _TcpServer((HOST, port))
@@ -168,6 +169,7 @@ def _bound(port: int, path: str | None) -> Any:
     class UnixServer(_Limited, socketserver.UnixStreamServer):
         pass
 
+    # Or on a socket that only this user may open.
     _remove_dead_socket(path)
     mask = os.umask(0o177)
     try:
