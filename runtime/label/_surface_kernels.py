@@ -146,10 +146,10 @@ def _edge_share(place, row, col, low, high, which, number):
     xx = yy = xy = 0.0
     for i in range(1, 6):
         for j in range(1, 6):
-            falling = (which[i + 1, j + 1] == number) - (which[i - 1, j - 1] == number)
-            rising = (which[i - 1, j + 1] == number) - (which[i + 1, j - 1] == number)
-            across = falling + rising + 2 * ((which[i, j + 1] == number) - (which[i, j - 1] == number))
-            down = falling - rising + 2 * ((which[i + 1, j] == number) - (which[i - 1, j] == number))
+            falling = int(which[i + 1, j + 1] == number) - int(which[i - 1, j - 1] == number)
+            rising = int(which[i - 1, j + 1] == number) - int(which[i + 1, j - 1] == number)
+            across = falling + rising + 2 * (int(which[i, j + 1] == number) - int(which[i, j - 1] == number))
+            down = falling - rising + 2 * (int(which[i + 1, j] == number) - int(which[i - 1, j] == number))
             weight = GRADIENT_WEIGHT[i - 1, j - 1]
             xx += weight * (across * across)
             yy += weight * (down * down)
