@@ -90,14 +90,21 @@ def _pixels_about(place, size, half):
 
 
 @helper
+def _add_row(total, k, sums, row, begin, end, sign):
+    """Add a row of sums, the columns from begin to end, times a sign, to ``total[k]``."""
+    for col in range(begin, end):
+        total[k, col - begin] += sign * sums[k, row, col]
+
+
+@helper
 def _move_down(total, sums, row, half, begin, end):
     """Move sums over rows (2, n) from the pixels of a row to those of the next, the columns from begin to end."""
     height = sums.shape[1]
     for k in range(2):
         if row + half[k] < height:
-            total[k] += sums[k, row + half[k], begin:end]
+            _add_row(total, k, sums, row + half[k], begin, end, 1.0)
         if row > half[k]:
-            total[k] -= sums[k, row - half[k] - 1, begin:end]
+            _add_row(total, k, sums, row - half[k] - 1, begin, end, -1.0)
 
 
 @kernel
@@ -131,9 +138,9 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
             for col in range(begin, end):
                 n_cols[k, col - begin] = _pixels_about(col, width, half[k])
             for row in range(min(half[k], height)):
-                total[k] += sums[k, row, begin:end]
+                _add_row(total, k, sums, row, begin, end, 1.0)
                 if counts.shape[0]:
-                    known[k] += counts[k, row, begin:end]
+                    _add_row(known, k, counts, row, begin, end, 1.0)
         for row in range(height):
             # Slide both down to this row.
             _move_down(total, sums, row, half, begin, end)
