@@ -24,7 +24,7 @@ from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
-from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces
+from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces, undivided
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
@@ -134,8 +134,7 @@ def synthesize_all(
         shown, tally.clamped = [layers for layers, _ in clamped], clamped[0][1]
     label = partial(frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options)
     if options.method == "gather":
-        own = partial(label, split=split)
-        images = [_filtered(each, camera, database, options, clock, tally, dense_psf, own) for each in shown]
+        images = [_filtered(each, camera, database, options, clock, tally, dense_psf) for each in shown]
     else:
         closed = is_opaque(frame.layers[-1].radiance)
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
@@ -385,23 +384,26 @@ def _filtered(
     clock: Clock,
     tally: Tally,
     dense_psf: DensePsf | None,
-    label: Callable[[Layer], list[Pixels]],
 ) -> Image:
-    """Filter each layer of a frame with the PSFs of the receiving pixels, straight paths only, and composite."""
+    """Filter each layer of a frame with the PSFs of the receiving pixels, and composite.
+
+    A filter has one PSF for each pixel: that of its own surface, at mid-shutter, along a straight path.
+    """
+    label = partial(frame_pixels, defocus=options.defocus, motion=options.motion, controls=options, split=undivided)
+    middle = camera.at(camera.shutter_centre)
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
         with clock.step("plan"):
-            straight = replace(layer, motion_prev=None, motion_next=None)
-            moved = label(straight)
+            still = replace(layer, motion_prev=None, motion_next=None, depth_prev=None, depth_next=None)
+            (pixels,) = label(still, middle)
             # A filter has no place to move light to.
-            pixel_sets = [each._replace(labels=each.labels._replace(shift=None)) for each in moved]
-            plan = plan_pixels(pixel_sets, database, options, 1, border=False, dense_psf=dense_psf)
+            unmoved = pixels._replace(labels=pixels.labels._replace(shift=None))
+            plan = plan_pixels([unmoved], database, options, 1, border=False, dense_psf=dense_psf)
         with clock.step("splat"):
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)
             if plan.sources:
-                light = options.light(layer.radiance, moved[0].labels.coc)
-                filtered = gather(plan.sources[0][0]._replace(radiance=light), plan.table)
+                filtered = gather(plan.sources[0][0]._replace(radiance=pixels.radiance), plan.table)
         with clock.step("composite"):
             add_layer(image, filtered, (0, 0), COVERAGE)
         tally.add_plan(plan, 1)

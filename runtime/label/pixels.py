@@ -13,7 +13,7 @@ from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, View
 from spreadlets.runtime.label.lists import Pixels, joined, listed
 from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, curved_places, in_time, rolled, zoomed
-from spreadlets.runtime.label.surfaces import Split, split_surfaces
+from spreadlets.runtime.label.surfaces import Split, split_surfaces, undivided
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.raster import Raster
@@ -68,7 +68,7 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
     middle = camera.at(camera.shutter_centre)
     layer = zoomed(layer, camera) if effects.motion and camera.keys else layer
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
-    surfaces = split(layer, middle) if is_blurred else ((layer, None),)
+    surfaces = (split if is_blurred else undivided)(layer, middle)
     return [labelled(surface, share, camera, effects) for surface, share in surfaces]
 
 

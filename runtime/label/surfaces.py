@@ -83,6 +83,11 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             yield _surface(layer, shown, source[:, :, number]) if number else replace(layer, radiance=shown), weight
 
 
+def undivided(layer: Layer, camera: ThinLens) -> list[Surface]:
+    """Return a layer as it is, its mixed pixels with the labels that they have: a `Split` that divides none."""
+    return [(layer, None)]
+
+
 def places(layer: Layer, camera: ThinLens) -> Image:
     """Return where a layer's surfaces lie in depth, as CoC radii, px, shape (H, W), float32."""
     place = np.empty(layer.shape, np.float32)

@@ -10,7 +10,7 @@ from spreadlets.api import synthesize as synthesize_any
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_l1
 from spreadlets.runtime.plan.variant import scaled
-from spreadlets.scene.camera import ThinLens
+from spreadlets.scene.camera import LensKey, ThinLens
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.frame import Frame
 
@@ -275,6 +275,19 @@ def test_gathering_takes_the_label_of_the_receiver(small_combined):
     depth[:, :32] = CAMERA.focus_distance_m
     gathered = synthesize_any(Frame(frame.radiance, depth), CAMERA, small_combined, method="gather")
     assert gathered[:, :32, 0].max() == 0 and gathered[32, 33, 0] > 0
+
+
+@pytest.mark.parametrize("changing", ["lens", "depth"])
+def test_gathering_takes_the_moment_at_mid_shutter_of_what_changes(small_combined, changing):
+    """A filter has one PSF for each pixel: of a changing frame it gives what it gives of the frame at that moment."""
+    ones, depth = np.ones((24, 24, 3), np.float32), np.full((24, 24), depth_of(3.0, 24))
+    ones[8:16, 8:16] = 4.0
+    keys = LensKey(-0.25, focus_distance_m=3.9), LensKey(0.25, focus_distance_m=4.3)
+    camera = replace(CAMERA, keys=keys if changing == "lens" else ())
+    others = {"depth_prev": 2.0 * depth, "depth_next": 0.5 * depth} if changing == "depth" else {}
+    gathered = synthesize_any(Frame(ones, depth, **others), camera, small_combined, method="gather")
+    still = synthesize_any(Frame(ones, depth), camera.at(camera.shutter_centre), small_combined, method="gather")
+    assert np.array_equal(gathered, still) and (gathered[..., 3] == 1.0).all()
 
 
 def test_gathering_around_holes_and_blended_depths_takes_no_light_from_nowhere(small_combined):
