@@ -14,7 +14,7 @@ import numpy as np
 
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.bokeh import BokehCache, Progress
-from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, LeftOutError
+from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, LeftOutError, option
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database
@@ -142,17 +142,7 @@ class Renderer:
         report : Report
             Only with ``report=True``.
         """
-        from spreadlets.runtime.options import Options
-
-        chosen = Options.of(**options)
-        if self._neighbours and (chosen.layers == 1 or chosen.method == "gather"):
-            raise InvalidParameterError(
-                "hidden_from is for a frame that is divided by depth: not with layers=1, nor with the method 'gather'"
-            )
-        camera = self._focused(camera, chosen)
-        _warn(frame_doubts(self.frame, camera))
-        (image,), figures = self._synthesized([], camera, chosen, clock)
-        image = self._shown = self._cut(image, chosen)
+        (image,), figures = self._rendered([], camera, clock, options)
         return (image, figures) if report else image
 
     def render_all(
@@ -179,11 +169,23 @@ class Renderer:
         InvalidParameterError
             As `render` does; or if there are further frames, and the renderer takes what is hidden from others.
         """
+        if further and self._neighbours:
+            raise InvalidParameterError(
+                f"{option('hidden_from')} is of one frame: draw further ones by renderers of their own"
+            )
+        return self._rendered(further, camera, clock, options)
+
+    def _rendered(
+        self, further: Sequence[Frame], camera: ThinLens, clock: Clock | None, options: RenderOptions
+    ) -> tuple[list[Image], Report]:
         from spreadlets.runtime.options import Options
 
-        if further and self._neighbours:
-            raise InvalidParameterError("hidden_from is of one frame: draw further ones by renderers of their own")
         chosen = Options.of(**options)
+        if self._neighbours and (chosen.layers == 1 or chosen.method == "gather"):
+            raise InvalidParameterError(
+                f"{option('hidden_from')} is for a frame that is divided by depth: not with layers=1, nor with the "
+                "method 'gather'"
+            )
         camera = self._focused(camera, chosen)
         _warn(frame_doubts(self.frame, camera))
         images, figures = self._synthesized(further, camera, chosen, clock)
@@ -385,16 +387,17 @@ class Renderer:
 
 def _check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
     """Raise InvalidParameterError if nothing can be taken from the neighbouring frames of another."""
+    name = option("hidden_from")
     if neighbours and len(frame.layers) > 1:
-        raise InvalidParameterError("hidden_from is for a frame of one layer; what is hidden is known of one in layers")
+        raise InvalidParameterError(f"{name} is for a frame of one layer; what is hidden is known of one in layers")
     for number, each in enumerate(neighbours):
         if len(each.layers) > 1:
             raise InvalidParameterError(
-                f"hidden_from has a frame of {len(each.layers)} layers (number {number}); give frames of one"
+                f"{name} has a frame of {len(each.layers)} layers (number {number}); give frames of one"
             )
         if each.raster != frame.raster:
             raise InvalidParameterError(
-                f"hidden_from has a frame (number {number}) of {each.shape[0]} x {each.shape[1]} px, but the frame has "
+                f"{name} has a frame (number {number}) of {each.shape[0]} x {each.shape[1]} px, but the frame has "
                 f"{frame.shape[0]} x {frame.shape[1]}, or their data windows differ; give frames of one sequence"
             )
 
@@ -407,4 +410,4 @@ def default_database(moving: bool) -> str:
 def _warn(doubts: Sequence[str]) -> None:
     """Warn the caller of a renderer's method of each doubt."""
     for doubt in doubts:
-        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=3)
+        warnings.warn(doubt, AmbiguousInputWarning, stacklevel=4)

@@ -549,6 +549,14 @@ def test_a_sequence_takes_what_is_hidden_from_a_sequence(run, posts):
     assert status != 0 and "--hidden-from is one, too" in err
 
 
+@pytest.mark.parametrize("chosen", [("--layers", "1"), ("--method", "gather")])
+def test_what_hides_nothing_takes_nothing_from_other_frames(run, posts, small_combined_path, chosen):
+    given = "--camera", posts / "camera.json", "--db", small_combined_path, "--hidden-from", posts / "shot.0001.exr"
+    status, _, err = run("synth", posts / "shot.0002.exr", "-o", posts / "alone.exr", *given, *chosen)
+    assert status == 2 and "--hidden-from is for a frame that is divided by depth" in err
+    assert not (posts / "alone.exr").exists()
+
+
 def test_what_is_read_as_hidden_is_not_replaced(run, posts, small_combined_path):
     given = (
         "-o",
