@@ -6,7 +6,7 @@ What few pixels of a frame need, such as a second surface, is a list: arrays of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -36,7 +36,7 @@ class Pixels(NamedTuple):
     frame : ndarray of shape (frame's H, W, 4), float32, or None
         The colours of the frame that the pixels of a list are from.
     curved : ndarray of shape (H, W), bool, or None
-        The pixels of a frame whose weight is 0 because a list draws them along the chords of their paths.
+        The pixels of a frame whose weight is 0 because a list draws them, at steps of the shutter's time.
     """
 
     radiance: Image
@@ -79,24 +79,14 @@ def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixel
     weight = _taken(pixels.weight, index)
     weight.ravel()[len(chosen) :] = 0.0
     # Take what is known of them.
-    before, after, depth = layer.motion_prev, layer.motion_next, _taken(layer.depth, index)
-    nearer, farther = layer.depth_prev, layer.depth_next
-    part = replace(
-        layer,
-        radiance=_taken(pixels.radiance, index),
-        depth=depth,
-        motion=_taken(layer.motion, index),
-        motion_prev=None if before is None else _taken(before, index),
-        motion_next=None if after is None else _taken(after, index),
-        depth_prev=None if nearer is None else _taken(nearer, index),
-        depth_next=None if farther is None else _taken(farther, index),
-    )
+    take = partial(_taken, index=index)
+    part = layer.mapped(take, take, take(pixels.radiance))
     labels = Labels(
-        _taken(labels.coc, index),
-        _taken(labels.path, index),
-        _taken(labels.length, index),
-        None if labels.shift is None else _taken(labels.shift, index),
-        view._replace(depth=depth, places=Places(at, view.frame_shape)),
+        take(labels.coc),
+        take(labels.path),
+        take(labels.length),
+        None if labels.shift is None else take(labels.shift),
+        view._replace(depth=part.depth, places=Places(at, view.frame_shape)),
     )
     return part, Pixels(part.radiance, labels, weight, pixels.frame)
 

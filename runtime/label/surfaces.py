@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -221,12 +222,8 @@ def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:
     """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
-    planes: dict[str, Any] = {
-        name: _at_sources(getattr(layer, name), source)
-        for name in ("depth", "motion", "motion_prev", "motion_next", "depth_prev", "depth_next")
-        if getattr(layer, name) is not None
-    }
-    return replace(layer, radiance=colours, **planes)
+    at_sources = partial(_at_sources, source=source)
+    return layer.mapped(at_sources, at_sources, colours)
 
 
 def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:

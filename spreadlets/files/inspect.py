@@ -228,11 +228,7 @@ def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> di
         report["depth"] |= _bad_depths(found.depth, visible[0], options)
     # Motion, in px per frame.
     if found.motion is not None:
-        paths = [
-            [path for path in (layer.motion, layer.motion_prev, layer.motion_next) if path is not None]
-            for layer in chosen
-        ]
-        lengths = [np.max([np.hypot(path[..., 0], path[..., 1]) for path in each], axis=0) for each in paths]
+        lengths = [np.max([np.hypot(each[..., 0], each[..., 1]) for each in layer.motions], axis=0) for layer in chosen]
         report["motion"] |= {"longest_px": _range(joined(lengths))["max"] or 0.0}
         report["motion"] |= {"curved": any(layer.motion_prev is not None for layer in chosen)}
     return report

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -25,6 +25,9 @@ LIKE_DEPTH = 1.1
 """Ratio of depths up to which two neighbouring pixels count as one surface when a colour is mended."""
 
 BACKGROUND_DEPTH = np.float32(np.inf)
+
+PlaneChange = Callable[[FloatArray], FloatArray]
+"""What is done to a plane of labels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,22 @@ class Layer:
     def motions(self) -> tuple[FloatArray, ...]:
         """The motions that are known: `motion`, and for a curved path those over the frames before and after."""
         return tuple(each for each in (self.motion, self.motion_prev, self.motion_next) if each is not None)
+
+    def mapped(self, depth: PlaneChange, motion: PlaneChange, radiance: FloatArray) -> Layer:
+        """Return the layer with each depth and each motion that is known changed, and with another radiance."""
+        depths, motions = (self.depth_prev, self.depth_next), (self.motion_prev, self.motion_next)
+        depth_prev, depth_next = (None if each is None else depth(each) for each in depths)
+        motion_prev, motion_next = (None if each is None else motion(each) for each in motions)
+        return replace(
+            self,
+            radiance=radiance,
+            depth=depth(self.depth),
+            motion=motion(self.motion),
+            motion_prev=motion_prev,
+            motion_next=motion_next,
+            depth_prev=depth_prev,
+            depth_next=depth_next,
+        )
 
 
 class Frame:
@@ -428,20 +447,9 @@ def _placed_layer(layer: Layer, raster: Raster) -> Layer:
     """Return a layer as it lies in another data window, with empty pixels where it does not reach."""
     if layer.raster == raster:
         return layer
-    own, target = layer.raster.data, raster.data
-    before, after = layer.motion_prev, layer.motion_next
-    nearer, farther = layer.depth_prev, layer.depth_next
-    return replace(
-        layer,
-        radiance=placed(layer.radiance, own, target),
-        depth=placed(layer.depth, own, target, float(BACKGROUND_DEPTH)),
-        motion=placed(layer.motion, own, target),
-        motion_prev=None if before is None else placed(before, own, target),
-        motion_next=None if after is None else placed(after, own, target),
-        depth_prev=None if nearer is None else placed(nearer, own, target, float(BACKGROUND_DEPTH)),
-        depth_next=None if farther is None else placed(farther, own, target, float(BACKGROUND_DEPTH)),
-        raster=raster,
-    )
+    place = functools.partial(placed, window=layer.raster.data, target=raster.data)
+    beyond = functools.partial(place, fill=float(BACKGROUND_DEPTH))
+    return replace(layer.mapped(beyond, place, place(layer.radiance)), raster=raster)
 
 
 def _displayed(raster: Raster) -> str:

@@ -65,22 +65,12 @@ def _smaller_layer(layer: Layer, raster: Raster) -> Layer:
     place = np.ix_(rows, cols)
     ratios = [after / before for after, before in zip(raster.data.shape, layer.shape, strict=True)]
     stretch = np.array(ratios[::-1], np.float32)
-    before, after = layer.motion_prev, layer.motion_next
 
     def stretched(motion: FloatArray) -> FloatArray:
         return np.asarray(motion[place] * stretch, np.float32)
 
-    return replace(
-        layer,
-        radiance=means(layer.radiance, raster.data.shape),
-        depth=layer.depth[place],
-        motion=stretched(layer.motion),
-        motion_prev=None if before is None else stretched(before),
-        motion_next=None if after is None else stretched(after),
-        depth_prev=None if layer.depth_prev is None else layer.depth_prev[place],
-        depth_next=None if layer.depth_next is None else layer.depth_next[place],
-        raster=raster,
-    )
+    reduced = layer.mapped(lambda depth: depth[place], stretched, means(layer.radiance, raster.data.shape))
+    return replace(reduced, raster=raster)
 
 
 def _middles(before: int, after: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

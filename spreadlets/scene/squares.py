@@ -155,17 +155,4 @@ def _repeated(layer: Layer, grid: Grid, pixels: Window, raster: Raster) -> Layer
     def scale(motion: FloatArray) -> FloatArray:
         return repeat(motion) * np.array(grid.per_pixel, np.float32)
 
-    # Motions grow with the squares; colours and depths are repeated.
-    before, after = layer.motion_prev, layer.motion_next
-    nearer, farther = layer.depth_prev, layer.depth_next
-    return replace(
-        layer,
-        radiance=repeat(layer.radiance),
-        depth=repeat(layer.depth),
-        motion=scale(layer.motion),
-        motion_prev=None if before is None else scale(before),
-        motion_next=None if after is None else scale(after),
-        depth_prev=None if nearer is None else repeat(nearer),
-        depth_next=None if farther is None else repeat(farther),
-        raster=raster,
-    )
+    return replace(layer.mapped(repeat, scale, repeat(layer.radiance)), raster=raster)
