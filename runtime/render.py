@@ -23,7 +23,7 @@ from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
+from spreadlets.runtime.label.pixels import frame_pixels, frame_surfaces, sample_pixels, surface_pixels
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces, undivided
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.divide import divide_frames
@@ -132,20 +132,18 @@ def synthesize_all(
     with clock.step("plan"):
         clamped = [_clamped_frame(each.layers, options.firefly_clamp) for each in frames]
         shown, tally.clamped = [layers for layers, _ in clamped], clamped[0][1]
-    label = partial(frame_pixels, camera=camera, defocus=options.defocus, motion=options.motion, controls=options)
     if options.method == "gather":
         images = [_filtered(each, camera, database, options, clock, tally, dense_psf) for each in shown]
     else:
         closed = is_opaque(frame.layers[-1].radiance)
+        effects = Effects(options.defocus, options.motion, database.grid.model.has_motion, options)
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
-        given = camera, options, draw, clock, tally, split
+        given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
             around = [squared(each).layers[0] for each in neighbours]
-            swept = database.grid.model.has_motion
-            images = _drawn_by_depth([each[0] for each in shown], *given, swept=swept, neighbours=around, closed=closed)
+            images = _drawn_by_depth([each[0] for each in shown], *given, neighbours=around, closed=closed)
         else:
-            label = partial(label, swept=database.grid.model.has_motion)
-            images = _drawn_in_layers(shown, *given, label=label, closed=closed)
+            images = _drawn_in_layers(shown, *given, closed=closed)
     images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
     return images, Report.of(clock, plan_figures(tally, database))
 
@@ -153,13 +151,13 @@ def synthesize_all(
 def _drawn_by_depth(
     shown: Sequence[Layer],
     camera: ThinLens,
+    effects: Effects,
     options: Options,
     draw: Callable[..., Plan],
     clock: Clock,
     tally: Tally,
     split: Split,
     *,
-    swept: bool,
     neighbours: Sequence[Layer],
     closed: bool,
 ) -> list[Image]:
@@ -169,7 +167,7 @@ def _drawn_by_depth(
         divided = divide_frames(
             shown,
             camera,
-            Effects(options.defocus, options.motion, swept, options),
+            effects,
             most=options.layers or MOST_LAYERS,
             softness=FRAME_SOFTNESS if options.softness is None else options.softness,
             split=split,
@@ -181,28 +179,32 @@ def _drawn_by_depth(
         visibility = ShareBeyond(first, plan, divided.known, divided.n_hidden) if plan.n_layers > 1 else None
     # Draw all frames by that plan.
     images = [np.zeros((*shown[0].shape, 4), np.float32) for _ in shown]
-    for image, each in zip(images, plans, strict=True):
-        counted = tally if each is plan else Tally()
-        _add_plan(image, each, visibility, _solver(options), clock, counted, closed=closed)
+    _add_plans(images, plans, visibility, options, clock, tally, closed=closed)
     return images
 
 
 def _drawn_in_layers(
     shown: Sequence[Sequence[Layer]],
     camera: ThinLens,
+    effects: Effects,
     options: Options,
     draw: Callable[..., Plan],
     clock: Clock,
     tally: Tally,
     split: Split,
     *,
-    label: Callable[..., list[Pixels]],
     closed: bool,
 ) -> list[Image]:
     """Draw frames that come in layers, all by the plans of the first, whose last layer is opaque if ``closed``."""
     with clock.step("plan"):
         shared = [SharedSurfaces(split) for _ in shown[0]]
-        given = [[label(layer, split=each) for layer, each in zip(layers, shared, strict=True)] for layers in shown]
+        given = [
+            [
+                surface_pixels(frame_surfaces(layer, camera, effects, each), camera, effects)
+                for layer, each in zip(layers, shared, strict=True)
+            ]
+            for layers in shown
+        ]
     if options.layers is not None:
         given = [[[pixels for group in groups for pixels in group]] for groups in given]
     images = [np.zeros((*shown[0][0].shape, 4), np.float32) for _ in shown]
@@ -212,9 +214,23 @@ def _drawn_in_layers(
             plans = [plan, *(plan.coloured(each) for each in others)]
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             last = closed and number == len(given[0]) - 1
-        for image, each in zip(images, plans, strict=True):
-            _add_plan(image, each, None, _solver(options), clock, tally if each is plan else Tally(), closed=last)
+        _add_plans(images, plans, None, options, clock, tally, closed=last)
     return images
+
+
+def _add_plans(
+    images: Sequence[Image],
+    plans: Sequence[Plan],
+    visibility: Visibility | None,
+    options: Options,
+    clock: Clock,
+    tally: Tally,
+    *,
+    closed: bool,
+) -> None:
+    """Put the layers of each frame's plan behind its image; those of the first are counted."""
+    for number, (image, plan) in enumerate(zip(images, plans, strict=True)):
+        _add_plan(image, plan, visibility, _solver(options), clock, Tally() if number else tally, closed=closed)
 
 
 def reconstruct(

@@ -100,14 +100,11 @@ def _lists(surfaces: Sequence[Labelled], camera: ThinLens, effects: Effects) -> 
 
 
 def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool) -> Labels:
-    height, width = layer.shape
-    coc, length = np.zeros((2, height, width), np.float32)
+    length, view = np.zeros(layer.shape, np.float32), _view(layer.depth, layer.raster, camera)
     shown = layer.raster.display.width
-    view = _view(layer.depth, layer.raster, camera)
-    if defocus:
-        coc = coc_radii(layer.depth, camera, controls, shown)
+    coc = coc_radii(layer.depth, camera, controls, shown) if defocus else np.zeros_like(length)
     if not motion or not layer.has_motion:
-        return Labels(coc, np.zeros((height, width, 2), np.float32), length, None, view)
+        return Labels(coc, np.zeros((*layer.shape, 2), np.float32), length, None, view)
     shift = layer.motion * np.float32(camera.shutter_centre) if camera.shutter_centre else None
     path = layer.motion * np.float32(camera.shutter_duration)
     for_bands(_label_kernels.path_lengths, len(length), path, length)
@@ -139,13 +136,10 @@ def sample_pixels(samples: SampleBuffer, camera: ThinLens, *, defocus: bool, mot
 
 
 def _sample_labels(samples: SampleBuffer, camera: ThinLens, number: int) -> Labels:
-    height, width = samples.shape
-    shown = samples.raster.display.width
     depth = np.ascontiguousarray(samples.depth[:, :, number])
-    length = np.empty((height, width), np.float32)
+    length = np.empty_like(depth)
     if samples.coc_radius is None:
-        coc = np.empty((height, width), np.float32)
-        for_bands(_label_kernels.coc_radii, height, depth, camera.coc_scale(shown), 1.0 / camera.focus_distance_m, coc)
+        coc = coc_radii(depth, camera, AS_IT_IS, samples.raster.display.width)
     else:
         coc = np.ascontiguousarray(samples.coc_radius[:, :, number])
     path, middle, now = _sample_places(samples, camera, number)
