@@ -410,8 +410,7 @@ def _filtered(
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
         with clock.step("plan"):
-            still = replace(layer, motion_prev=None, motion_next=None, depth_prev=None, depth_next=None)
-            (pixels,) = label(still, middle)
+            (pixels,) = label(layer.straight(), middle)
             # A filter has no place to move light to.
             unmoved = pixels._replace(labels=pixels.labels._replace(shift=None))
             plan = plan_pixels([unmoved], database, options, 1, border=False, dense_psf=dense_psf)

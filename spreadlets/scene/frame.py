@@ -77,6 +77,10 @@ class Layer:
         """The motions that are known: `motion`, and for a curved path those over the frames before and after."""
         return tuple(each for each in (self.motion, self.motion_prev, self.motion_next) if each is not None)
 
+    def straight(self) -> Layer:
+        """Return the layer as it moves along straight paths at constant depth."""
+        return replace(self, motion_prev=None, motion_next=None, depth_prev=None, depth_next=None)
+
     def mapped(self, depth: PlaneChange, motion: PlaneChange, radiance: FloatArray) -> Layer:
         """Return the layer with each depth and each motion that is known changed, and with another radiance."""
         depths, motions = (self.depth_prev, self.depth_next), (self.motion_prev, self.motion_next)

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,11 +120,8 @@ class Studio:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        straight = [
-            replace(layer, motion_prev=None, motion_next=None, depth_prev=None, depth_next=None)
-            for layer in scene.frame.layers
-        ]
-        self._sources = {False: scene.frame, True: Frame.of(straight)}
+        straight = Frame.of([layer.straight() for layer in scene.frame.layers])
+        self._sources = {False: scene.frame, True: straight}
         self._renderers: dict[tuple[Any, bool], Renderer] = {}
         self.latest: FloatArray | None = None
         self.kernels: dict[str, str] = {}
