@@ -14,7 +14,7 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays", "version"},
-    {"compiled", "parallel", "packages", "remembered", "runtime.controls"},
+    {"compiled", "parallel", "packages", "remembered", "runtime.controls", "runtime._vector_kernels"},
     {"workers", "serve"},
     {"scene", "runtime.options"},
     {"metrics", "models", "psf"},

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._vector_kernels import load, store
 
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
@@ -19,6 +20,9 @@ BLOCK_PIXELS = 1024
 
 INTERPOLATION_REACH = 4
 """Pixels that an interpolated pixel can depend on to either side, rounded up to whole coarse pixels."""
+
+FOUR = np.uint64(4)
+"""Channels that move as one vector."""
 
 MAGNITUDE_BITS = np.int32(0x7FFFFFFF)
 """All bits of a float32 but its sign."""
@@ -228,11 +232,9 @@ def _split_pixels(even, odd, row, n_channels):
     n_odd = odd.shape[0] // n_channels
     if n_channels == 4:
         for pixel in range(n_odd):
-            to, at = 4 * pixel, 8 * pixel
-            e_0, e_1, e_2, e_3 = row[at], row[at + 1], row[at + 2], row[at + 3]
-            o_0, o_1, o_2, o_3 = row[at + 4], row[at + 5], row[at + 6], row[at + 7]
-            even[to], even[to + 1], even[to + 2], even[to + 3] = e_0, e_1, e_2, e_3
-            odd[to], odd[to + 1], odd[to + 2], odd[to + 3] = o_0, o_1, o_2, o_3
+            place = np.uint64(4 * pixel)
+            store(even, place, load(row, 2 * place))
+            store(odd, place, load(row, 2 * place + FOUR))
     else:
         for pixel in range(n_odd):
             for channel in range(n_channels):
@@ -248,11 +250,9 @@ def _join_pixels(row, even, odd, n_channels):
     n_odd = odd.shape[0] // n_channels
     if n_channels == 4:
         for pixel in range(n_odd):
-            at, to = 4 * pixel, 8 * pixel
-            e_0, e_1, e_2, e_3 = even[at], even[at + 1], even[at + 2], even[at + 3]
-            o_0, o_1, o_2, o_3 = odd[at], odd[at + 1], odd[at + 2], odd[at + 3]
-            row[to], row[to + 1], row[to + 2], row[to + 3] = e_0, e_1, e_2, e_3
-            row[to + 4], row[to + 5], row[to + 6], row[to + 7] = o_0, o_1, o_2, o_3
+            place = np.uint64(4 * pixel)
+            store(row, 2 * place, load(even, place))
+            store(row, 2 * place + FOUR, load(odd, place))
     else:
         for pixel in range(n_odd):
             for channel in range(n_channels):

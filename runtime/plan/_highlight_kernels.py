@@ -148,7 +148,10 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
                 _move_down(known, counts, row, half, begin, end)
             else:
                 for k in range(2):
-                    known[k] = _pixels_about(row, height, half[k]) * n_cols[k]
+                    n_rows = _pixels_about(row, height, half[k])
+                    # One by one: the message about arrays of unlike lengths would take longer to compile than the rest.
+                    for i in range(end - begin):
+                        known[k, i] = n_rows * n_cols[k, i]
             least = least_known * _pixels_about(row, height, half[1])
             for col in range(begin, end):
                 i = col - begin

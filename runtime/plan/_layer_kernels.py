@@ -40,7 +40,9 @@ def assign_layers(begin, end, depth, cuts, widths, layer, farther):
     for row in range(begin, end):
         for col in range(depth.shape[1]):
             place = -1.0 / np.float64(depth[row, col])
-            number = np.searchsorted(cuts, place, side="right")
+            number = 0
+            for cut in range(len(cuts)):
+                number += cuts[cut] <= place
             layer[row, col] = number
             farther[row, col] = 0.0
             for cut in range(max(number - 1, 0), min(number + 1, len(cuts))):

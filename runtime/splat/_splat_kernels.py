@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import add, load, multiply, store
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
 """Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from spreadlets.runtime.splat._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import add, load, multiply, store
 
 
 def weighted_sum(out, x, y, i, j):
