@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import importlib
 import logging
 import os
 import pickle
 import shutil
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -197,6 +199,23 @@ class _Announcement(numba.core.event.Listener):
         pass
 
 
+def _import_functions() -> None:
+    """Import Numba's functions on arrays without SciPy's linear algebra, which takes as long as half of Numba does.
+
+    All that they would take from it is the inner product of `numpy.convolve`, which kernels do not use; Numba has its
+    own.
+    """
+    unknown = "scipy.linalg" not in sys.modules
+    if unknown:
+        sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        if unknown:
+            del sys.modules["scipy.linalg"]
+
+
+_import_functions()
 _announcement = _Announcement()
 numba.core.event.register("numba:compile", _announcement)  # type: ignore[no-untyped-call]
 
