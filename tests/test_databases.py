@@ -16,8 +16,10 @@ from spreadlets.psf.database import open_database
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
 FRESH = "built from scratch"
 
-N_SAMPLED = 24
-"""Spreadlets that are traced and reconstructed in each database, spread evenly over its cells."""
+N_SAMPLED = {"volume": 8, "physicallens": 12}
+"""Spreadlets that are traced and reconstructed in each database, spread evenly over its cells; of others as many as
+`USUALLY_SAMPLED`. Rays through a medium or through glass take longest to trace."""
+USUALLY_SAMPLED = 24
 
 LARGE_COC = 4.0
 """CoC radius, px: smaller PSFs are little more than their edge, and have limits of their own."""
@@ -134,7 +136,8 @@ def measured(request):
     rng = np.random.default_rng(11)
     with open_database(path) as database:
         statistics = database.statistics()
-        cells = np.linspace(0, database.n_cells - 1, N_SAMPLED).round().astype(int).tolist()
+        n_sampled = N_SAMPLED.get(path.stem, USUALLY_SAMPLED)
+        cells = np.linspace(0, database.n_cells - 1, n_sampled).round().astype(int).tolist()
         numbers = [int(rng.integers(len(database.angles(cell)))) for cell in cells]
         found = [measure(database, *place, statistics) for place in zip(cells, numbers, strict=True)]
     return found, MEAN_SPARSITY[FRESH if fresh else path.stem]
@@ -177,14 +180,14 @@ def test_no_sampled_spreadlet_is_bad(measured):
 
 def test_sampled_spreadlets_of_large_coc_are_similar_and_sparse_on_average(measured):
     large = [one for one in measured[0] if one.large]
-    assert len(large) >= N_SAMPLED // 4
+    assert len(large) >= len(measured[0]) // 4
     assert np.mean([one.similarity for one in large]) >= MEAN_SIMILARITY
     assert np.mean([one.sparsity for one in large]) <= measured[1][0]
 
 
 def test_sampled_spreadlets_of_small_coc_are_sparse_on_average_too(measured):
     small = [one.sparsity for one in measured[0] if not one.large]
-    assert len(small) >= (0 if measured[1][1] is None else N_SAMPLED // 4)
+    assert len(small) >= (0 if measured[1][1] is None else len(measured[0]) // 4)
     assert not small or np.mean(small) <= measured[1][1]
 
 
