@@ -93,9 +93,9 @@ def path_lengths(begin, end, path, length):
 
 @kernel
 def take(begin, end, values, source, taken):
-    """Fill ``taken`` (H, W, C) with the values (H, W, C) at the rows and columns of ``source`` (H, W, 2), int32."""
+    """Fill ``taken`` (h, w, C) with the values (H, W, C) at the rows and columns of ``source`` (h, w, 2), int32."""
     for row in range(begin, end):
-        for col in range(values.shape[1]):
+        for col in range(source.shape[1]):
             i, j = source[row, col, 0], source[row, col, 1]
             for c in range(values.shape[2]):
                 taken[row, col, c] = values[i, j, c]

@@ -32,6 +32,8 @@ SAME_SURFACE = 1.0
 """Difference of places, px, below which a pixel is taken to show the surface of another: that of a gap."""
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
+TILE = 8
+"""Side, px, of the tiles of pixels that are looked at only if a surface ends in them or beside: more than any reach."""
 
 WINDOW_WEIGHT = np.exp(-0.5 * np.add.outer(np.arange(-REACH, REACH + 1) ** 2, np.arange(-REACH, REACH + 1) ** 2))
 """How much a pixel's surroundings tell of the surfaces in it, by their place around it."""
@@ -43,23 +45,63 @@ COLOUR_WEIGHT = 1.0 / (
 """The same for the colours of surfaces."""
 
 
-@kernel
-def find_purity(begin, end, place, gap, purity):
-    """Fill ``purity`` (H, W), float32, with the share of each pixel's filter that its own surface fills, about.
+@helper
+def _brightness(colour):
+    """Return the brightest channel of a colour."""
+    return np.float64(max(colour[0], colour[1], colour[2]))
 
-    Pixels whose ``place`` (H, W), float32, differs by less than ``gap`` are of one surface.
+
+@kernel
+def place_range(begin, end, place, low, high):
+    """Fill ``low`` and ``high`` (h, w), float32, with the least and the largest place in each tile of pixels.
+
+    What is infinitely far is left out; a tile of nothing else has an infinite ``low``.
     """
     height, width = place.shape
-    for row in range(begin, end):
-        for col in range(width):
-            here, total, own = place[row, col], 0.0, 0.0
-            for i in range(max(row - 1, 0), min(row + 2, height)):
-                for j in range(max(col - 1, 0), min(col + 2, width)):
-                    # The weights of a filter 3 px wide, as most renderers have it: 0.8 and 0.1 along each axis.
-                    weight = (0.8 if i == row else 0.1) * (0.8 if j == col else 0.1)
-                    total += weight
-                    own += weight if abs(place[i, j] - here) < gap else 0.0
-            purity[row, col] = own / total
+    for number in range(begin, end):
+        low[number], high[number] = np.float32(np.inf), np.float32(-np.inf)
+        for row in range(number * TILE, min((number + 1) * TILE, height)):
+            for col in range(width):
+                each, across = place[row, col], col // TILE
+                if each != np.inf:
+                    low[number, across] = min(low[number, across], each)
+                    high[number, across] = max(high[number, across], each)
+
+
+@kernel
+def weigh_pixels(begin, end, place, gap, radiance, wanted, weights):
+    """Find how pure the pixels of some tiles are, how much each counts for its surface's colour, and how bright it is.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+    gap : float
+        Pixels whose places differ by less are of one surface.
+    radiance : ndarray of shape (H, W, 4), float32
+    wanted : ndarray of shape (h, w), bool
+        The tiles.
+    weights : tuple of three ndarrays of shape (H, W), float32
+        Filled with purity, the share of each pixel's filter that its own surface fills, about; with its power
+        `PURITY_POWER`; and with the logarithm of the brightest channel.
+    """
+    height, width = place.shape
+    purity, power, log_light = weights
+    for number in range(begin, end):
+        for row in range(number * TILE, min((number + 1) * TILE, height)):
+            for across in range(wanted.shape[1]):
+                if not wanted[number, across]:
+                    continue
+                for col in range(across * TILE, min((across + 1) * TILE, width)):
+                    here, total, own = place[row, col], 0.0, 0.0
+                    for i in range(max(row - 1, 0), min(row + 2, height)):
+                        for j in range(max(col - 1, 0), min(col + 2, width)):
+                            # The weights of a filter 3 px wide, as most renderers have it: 0.8 and 0.1 along each axis.
+                            weight = (0.8 if i == row else 0.1) * (0.8 if j == col else 0.1)
+                            total += weight
+                            own += weight if abs(place[i, j] - here) < gap else 0.0
+                    share = own / total
+                    purity[row, col], power[row, col] = share, share**PURITY_POWER
+                    log_light[row, col] = math.log(_brightness(radiance[row, col]) + NEGLIGIBLE)
 
 
 @helper
@@ -171,12 +213,6 @@ def _edge_share(place, row, col, low, high, which, number):
         for side in (-step, step):
             share += weight * _share_between(place, row + side * step_row, col + side * step_col, low, high)
     return share / total
-
-
-@helper
-def _brightness(colour):
-    """Return the brightest channel of a colour."""
-    return np.float64(max(colour[0], colour[1], colour[2]))
 
 
 @helper
@@ -338,41 +374,57 @@ def _is_mixed(place, row, col, gap):
 
 
 @kernel
-def weigh_colours(begin, end, radiance, purity, power, log_light):
-    """Fill ``power`` and ``log_light`` (H, W), float32, with how much each pixel counts and how bright it is."""
-    for row in range(begin, end):
-        for col in range(purity.shape[1]):
-            power[row, col] = np.float64(purity[row, col]) ** PURITY_POWER
-            log_light[row, col] = math.log(_brightness(radiance[row, col]) + NEGLIGIBLE)
-
-
-@kernel
-def divide_pixels(begin, end, place, radiance, weights, known, gap, source, share, colours):
-    """Explain each pixel by up to `MOST` surfaces around it, its own first.
+def list_mixed(begin, end, place, gap, mixed, columns, counts):
+    """List the pixels around which places differ by the gap: their columns, row by row.
 
     Parameters
     ----------
     place : ndarray of shape (H, W), float32
-        Where surfaces lie in depth, as CoC radii, px; infinite where there is nothing.
-    radiance : ndarray of shape (H, W, 4), float32
-    weights : tuple of three ndarrays of shape (H, W), float32
-        See `find_purity` and `weigh_colours`.
-    known : ndarray of shape (H, W), float32
-        Share of the nearer of two surfaces where the depth tells it, else -1.
+    gap : float
+    mixed : ndarray of shape (h, w), bool
+        The tiles in which there may be some.
+    columns : ndarray of shape (H, W), int32
+        Filled from the left.
+    counts : ndarray of shape (H,), int64
+        Filled.
+    """
+    for row in range(begin, end):
+        count = 0
+        for across in range(mixed.shape[1]):
+            if mixed[row // TILE, across]:
+                for col in range(across * TILE, min((across + 1) * TILE, place.shape[1])):
+                    if place[row, col] != math.inf and _is_mixed(place, row, col, gap):
+                        columns[row, count] = col
+                        count += 1
+        counts[row] = count
+
+
+@kernel
+def divide_pixels(begin, end, given, listed, gap, first, found):
+    """Explain mixed pixels by up to `MOST` surfaces around them, their own first.
+
+    Parameters
+    ----------
+    given : tuple of place, radiance, weights and known
+        ``place`` (H, W), float32: where surfaces lie in depth, as CoC radii, px; infinite where there is nothing.
+        ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`. ``known`` (H, W), float32: share of the nearer
+        of two surfaces where the depth tells it, else -1.
+    listed : tuple of ndarrays of shapes (H, W) and (H + 1,), int32 and int64
+        The pixels: columns of each row, see `list_mixed`, and number of the first of each row.
     gap : float
         Difference of places that parts two surfaces.
-    source : ndarray of shape (H, W, MOST, 2), int32
-        Filled with row and column of a pixel that has the surface's label; those of the pixel itself where it has none.
-    share : ndarray of shape (H, W, MOST), float32
-        Filled with the coverages, which sum to 1.
-    colours : ndarray of shape (H, W, MOST, 4), float32
-        Filled with the surfaces' colours; those of the pixel where it has no such surface.
+    first : tuple of ndarrays of shapes (H, W) and (H, W, 4), float32
+        Coverage and colour of the pixel's own surface; changed where it has others.
+    found : tuple of ndarrays of shapes (n, 2), (n, MOST), (n, MOST, 2) and (n, MOST, 4), int32 and float32 in turn
+        Filled for each listed pixel: its row and column; the coverages, which sum to 1, or all are 0 where it has one
+        surface; row and column of a pixel that has each surface's label; and the colours.
 
     Returns
     -------
     int
         Number of pixels with more than one surface.
     """
+    place, radiance, weights, known = given
     window = (2 * REACH + 1) ** 2
     spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
     which = np.empty((2 * COLOUR_REACH + 1, 2 * COLOUR_REACH + 1), np.int8)
@@ -380,28 +432,25 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
     each, trust = np.empty(MOST), np.ones(MOST)
     mixed = 0
     for row in range(begin, end):
-        for col in range(place.shape[1]):
-            # Begin with a pixel that is all its own.
+        for number in range(listed[1][row], listed[1][row + 1]):
+            col = listed[0][row, number - listed[1][row]]
+            at, shares, sources, colours = found[0][number], found[1][number], found[2][number], found[3][number]
+            at[0], at[1] = row, col
             for s in range(MOST):
-                source[row, col, s, 0], source[row, col, s, 1] = row, col
-                share[row, col, s] = 1.0 if s == 0 else 0.0
-                for c in range(4):
-                    colours[row, col, s, c] = radiance[row, col, c]
-            if place[row, col] == math.inf or not _is_mixed(place, row, col, gap):
-                continue
-            # Find the surfaces around a pixel of an edge.
+                shares[s] = 0.0
+            # Find the surfaces around the pixel.
             count = _surfaces_around(place, row, col, gap, spare, bounds)
             if count < 2:
                 continue
             # Guess their shares by the edge, or take those that a filtered depth told.
-            each[:] = 0.0
             total = 0.0
             _number_surfaces(place, row, col, bounds, count, which)
-            for s in range(count):
-                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s)
+            for s in range(MOST):
+                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s) if s < count else 0.0
                 total += each[s]
-            each /= total
-            _find_sources(weights[0], row, col, which, count, source[row, col], trust)
+            for s in range(count):
+                each[s] /= total
+            _find_sources(weights[0], row, col, which, count, sources, trust)
             if count == 2 and known[row, col] >= 0.0:
                 nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
@@ -414,10 +463,12 @@ def divide_pixels(begin, end, place, radiance, weights, known, gap, source, shar
                 continue
             # Divide the colour among the surfaces.
             mixed += 1
+            _divide(radiance[row, col], mean, variance, each, count, colours)
             for s in range(count):
-                share[row, col, s] = each[s]
-            _divide(radiance[row, col], mean, variance, each, count, colours[row, col])
-            source[row, col, 0, 0], source[row, col, 0, 1] = row, col
+                shares[s] = each[s]
+            first[0][row, col] = shares[0]
+            for c in range(4):
+                first[1][row, col, c] = colours[0, c]
     return mixed
 
 

@@ -51,6 +51,13 @@ class Pixels(NamedTuple):
         return self.labels.view.places is not None
 
 
+def rows_of(chosen: IntArray) -> IntArray:
+    """Return the numbers of some pixels in rows of a list, the last one filled up with the first."""
+    index = np.full((-(-len(chosen) // LIST_WIDTH), LIST_WIDTH), chosen[0] if len(chosen) else 0, np.int64)
+    index.ravel()[: len(chosen)] = chosen
+    return index
+
+
 def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixels]:
     """Return some pixels as a list, with as many rows as it takes.
 
@@ -69,10 +76,7 @@ def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixel
     pixels : Pixels
         The last row is filled up with the first pixel, of weight 0.
     """
-    # Fill rows with the numbers of the pixels.
-    n_rows = -(-len(chosen) // LIST_WIDTH)
-    index = np.zeros((n_rows, LIST_WIDTH), np.int64)
-    index.ravel()[: len(chosen)] = chosen
+    index = rows_of(chosen)
     labels, view = pixels.labels, pixels.labels.view
     in_frame = np.stack(np.divmod(index, pixels.radiance.shape[1]), axis=-1).astype(np.int32)
     at = in_frame if view.places is None else _taken(view.places.at, index)
@@ -96,8 +100,8 @@ def _taken(values: npt.NDArray[_Number], index: IntArray) -> npt.NDArray[_Number
     return values.reshape(-1, *values.shape[2:])[index]
 
 
-def joined(lists: Sequence[Pixels]) -> Pixels:
-    """Return several lists as one."""
+def joined(lists: Sequence[Pixels], frame: Image) -> Pixels:
+    """Return several lists as one, of a frame of colours (frame's H, W, 4)."""
     labels = [each.labels for each in lists]
     at = [each.view.places.at for each in labels if each.view.places is not None]
     places = Places(np.concatenate(at), labels[0].view.frame_shape)
@@ -111,5 +115,5 @@ def joined(lists: Sequence[Pixels]) -> Pixels:
             labels[0].view._replace(depth=np.concatenate([each.view.depth for each in labels]), places=places),
         ),
         np.concatenate([each.weight for each in lists]),
-        lists[0].frame,
+        frame,
     )

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
-from spreadlets.runtime.label.labels import Labels, View
-from spreadlets.runtime.label.lists import Pixels, joined, listed
+from spreadlets.runtime.label.labels import Labels, Places, View
+from spreadlets.runtime.label.lists import Pixels, joined
 from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, curved_places, in_time, rolled, zoomed
-from spreadlets.runtime.label.surfaces import Split, split_surfaces, undivided
+from spreadlets.runtime.label.surfaces import Split, Surface, split_surfaces, undivided
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.raster import Raster
@@ -69,38 +69,34 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
     layer = zoomed(layer, camera) if effects.motion and camera.keys else layer
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
     surfaces = (split if is_blurred else undivided)(layer, middle)
-    return [labelled(surface, share, camera, effects) for surface, share in surfaces]
+    return [labelled(each, layer.shape, camera, effects) for each in surfaces]
 
 
-def labelled(layer: Layer, share: Image | None, camera: ThinLens, effects: Effects) -> Labelled:
-    """Return a surface of a frame's pixels with the labels of mid-shutter and straight paths."""
-    middle, controls = camera.at(camera.shutter_centre), effects.controls
-    labels = _straight_labels(layer, middle, controls, defocus=effects.defocus, motion=effects.motion)
+def labelled(surface: Surface, shape: tuple[int, int], camera: ThinLens, effects: Effects) -> Labelled:
+    """Return a surface of a frame's pixels, (H, W), with the labels of mid-shutter and straight paths."""
+    middle, controls, layer = camera.at(camera.shutter_centre), effects.controls, surface.layer
+    places = None if surface.at is None else Places(surface.at, shape)
+    labels = _straight_labels(layer, places, middle, controls, defocus=effects.defocus, motion=effects.motion)
     light = controls.light(layer.radiance, labels.coc)
-    return layer, Pixels(light, labels) if share is None else Pixels(light, labels, share)
+    return layer, Pixels(light, labels, NOTHING if surface.share is None else surface.share)
 
 
 def surface_pixels(surfaces: Sequence[Labelled], camera: ThinLens, effects: Effects) -> list[Pixels]:
     """Return the pixels to draw of some surfaces: all those of the first, then a list of what is needed beside."""
-    found = list(in_time(*surfaces[0], camera, effects))
-    found += _lists(surfaces[1:], camera, effects)
-    lists = [each._replace(frame=found[0].radiance) for each in found[1:]]
-    return [found[0], joined(lists)] if lists else found
+    found = [pixels for each in surfaces for pixels in in_time(*each, camera, effects)]
+    return [found[0], joined(found[1:], found[0].radiance)] if len(found) > 1 else found
 
 
 def hidden_pixels(surface: Labelled, camera: ThinLens, effects: Effects, frame: Image) -> Pixels:
-    """Return the list of pixels to draw of a surface hidden behind others; ``frame`` are the colours of the frame."""
-    return joined(_lists([surface], camera, effects))._replace(frame=frame)
+    """Return the list of pixels to draw of a list hidden behind others; ``frame`` are the colours of the frame."""
+    return joined(list(in_time(*surface, camera, effects)), frame)
 
 
-def _lists(surfaces: Sequence[Labelled], camera: ThinLens, effects: Effects) -> list[Pixels]:
-    """Return lists of those pixels of some surfaces that have any weight."""
-    chosen = [(layer, pixels, np.flatnonzero(pixels.weight)) for layer, pixels in surfaces]
-    return [each for some in chosen for each in in_time(*listed(*some), camera, effects)]
-
-
-def _straight_labels(layer: Layer, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool) -> Labels:
-    length, view = np.zeros(layer.shape, np.float32), _view(layer.depth, layer.raster, camera)
+def _straight_labels(
+    layer: Layer, places: Places | None, camera: ThinLens, controls: Controls, *, defocus: bool, motion: bool
+) -> Labels:
+    length = np.zeros(layer.shape, np.float32)
+    view = _view(layer.depth, layer.raster, camera)._replace(places=places)
     shown = layer.raster.display.width
     coc = coc_radii(layer.depth, camera, controls, shown) if defocus else np.zeros_like(length)
     if not motion or not layer.has_motion:

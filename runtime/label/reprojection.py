@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spreadlets.arrays import Image
-from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _reprojection_kernels, _surface_kernels
-from spreadlets.runtime.label.surfaces import LEAST_GAP, places, take_features, with_features
+from spreadlets.runtime.label import _reprojection_kernels
+from spreadlets.runtime.label.surfaces import LEAST_GAP, places, take_features, weigh_pixels, with_features
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -58,8 +57,7 @@ def reproject(layer: Layer, neighbours: Sequence[Layer], camera: ThinLens) -> tu
         neighbour = _directed(layer, each)
         place = places(neighbour.layer, camera)
         place[neighbour.layer.radiance[..., 3] == 0.0] = np.inf
-        purity = np.empty_like(place)
-        for_bands(_surface_kernels.find_purity, len(place), place, LEAST_GAP, purity)
+        purity = weigh_pixels(place, neighbour.layer.radiance)[0]
         moved.append((purity, place, neighbour.motion, neighbour.sign, take_features(neighbour.layer, layer)))
     # Pixels may move anywhere: one band.
     for purity, place, motion, sign, _ in moved:

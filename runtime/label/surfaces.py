@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _blend_kernels, _label_kernels, _surface_kernels
+from spreadlets.runtime.label.lists import rows_of
+from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -22,11 +24,41 @@ LEAST_GAP = 1.0
 """Difference of CoC radii, px, from which two surfaces are worth telling apart."""
 SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
+GUESSING_LINES = 256
+"""About so many rows, and columns, tell whether the depth is filtered."""
 MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
 
-Surface = tuple[Layer, Image | None]
-"""A layer that holds one surface of every pixel, and its share of the pixels."""
+
+class Surface(NamedTuple):
+    """A surface of the pixels of a frame.
+
+    Attributes
+    ----------
+    layer : Layer
+        Of all pixels of the frame, or of a list of some.
+    share : ndarray of shape (H, W), float32, or None
+        Its share of each pixel; None if it is all of the frame.
+    at : ndarray of shape (H, W, 2), int32, or None
+        Rows and columns of the pixels of a list.
+    """
+
+    layer: Layer
+    share: Image | None = None
+    at: npt.NDArray[np.int32] | None = None
+
+    def put(self, values: Image, frame: Image) -> None:
+        """Write values of the surface's pixels to where they lie in a frame."""
+        if self.at is None or self.share is None:
+            frame[...] = values
+        else:
+            frame[tuple(self.at[self.share > 0].T)] = values[self.share > 0]
+
+    def taken(self, frame: Image) -> Image:
+        """Return the values of a frame where the surface's pixels lie."""
+        return frame if self.at is None else frame[self.at[..., 0], self.at[..., 1]]
+
+
 Split = Callable[[Layer, ThinLens], Iterable[Surface]]
 """Divides the mixed pixels of a layer between their surfaces."""
 
@@ -46,10 +78,8 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
 
     Yields
     ------
-    layer : Layer
-        The layer itself, if no pixel is mixed; else first each pixel's own surface, then others.
-    share : ndarray of shape (H, W), float32, or None
-        Weight of each pixel; None if all are 1.
+    Surface
+        The layer itself, if no pixel is mixed; else first each pixel's own surface, then lists of others.
 
     Notes
     -----
@@ -63,30 +93,52 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
         layer, known = without_filter(layer, place)
         place = places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
-    # Divide each pixel among the surfaces around it.
-    purity = np.empty_like(place)
-    for_bands(_surface_kernels.find_purity, height, place, LEAST_GAP, purity)
-    source = np.empty((height, width, _surface_kernels.MOST, 2), np.int32)
-    share = np.empty((height, width, _surface_kernels.MOST), np.float32)
-    colours = np.empty((height, width, _surface_kernels.MOST, 4), np.float32)
-    weights = purity, np.empty_like(place), np.empty_like(place)
-    for_bands(_surface_kernels.weigh_colours, height, layer.radiance, *weights)
-    given = place, layer.radiance, weights, known, LEAST_GAP
-    if not sum(for_bands(_surface_kernels.divide_pixels, height, *given, source, share, colours)):
-        yield layer, None
+    # List the pixels around which places differ.
+    mixed, near = _tiles(place)
+    columns, starts = np.empty(layer.shape, np.int32), np.zeros(height + 1, np.int64)
+    for_bands(_surface_kernels.list_mixed, height, place, LEAST_GAP, mixed, columns, starts[1:])
+    np.cumsum(starts, out=starts)
+    # Divide them among the surfaces around them.
+    weights = weigh_pixels(place, layer.radiance, near)
+    n, most = int(starts[-1]), _surface_kernels.MOST
+    first = np.ones(layer.shape, np.float32), layer.radiance.copy()
+    found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
+    colours = np.empty((n, most, 4), np.float32)
+    given = (place, layer.radiance, weights, known), (columns, starts), LEAST_GAP, first, (*found, colours)
+    if not sum(for_bands(_surface_kernels.divide_pixels, height, *given)):
+        yield Surface(layer)
         return
-    # Gather the first surfaces of all pixels in a layer, then the second and the third.
-    for number in range(_surface_kernels.MOST):
-        weight = np.ascontiguousarray(share[:, :, number])
-        if weight.any():
-            shown = np.ascontiguousarray(colours[:, :, number])
-            # The first surface is the pixel's own.
-            yield _surface(layer, shown, source[:, :, number]) if number else replace(layer, radiance=shown), weight
+    yield Surface(replace(layer, radiance=first[1]), first[0])
+    for number in range(1, most):
+        chosen = np.flatnonzero(found[1][:, number])
+        if len(chosen):
+            index, (at, share, source) = rows_of(chosen), found
+            taken = source[index, number]
+            listed = share[index, number]
+            listed.ravel()[len(chosen) :] = 0.0
+            yield Surface(_surface(layer, colours[index, number], taken), listed, at[index])
+
+
+def weigh_pixels(place: Image, radiance: Image, wanted: BoolArray | None = None) -> tuple[Image, Image, Image]:
+    """Return how pure pixels are, how much each counts, and how bright it is; all, or those of some tiles."""
+    weights = np.empty_like(place), np.empty_like(place), np.empty_like(place)
+    wanted = np.ones(tiling(place.shape, _surface_kernels.TILE), np.bool_) if wanted is None else wanted
+    for_bands(_surface_kernels.weigh_pixels, len(wanted), place, LEAST_GAP, radiance, wanted, weights)
+    return weights
+
+
+def _tiles(place: Image) -> tuple[BoolArray, BoolArray]:
+    """Return the tiles of pixels in which there may be mixed ones, and those in which pixels may tell of these."""
+    low, high = np.empty((2, *tiling(place.shape, _surface_kernels.TILE)), np.float32)
+    for_bands(_surface_kernels.place_range, len(low), place, low, high)
+    # No pixel of a tile reaches farther than those beside it.
+    mixed = largest_around(high, 1) + largest_around(-low, 1) >= LEAST_GAP
+    return mixed, largest_around(mixed, 1)
 
 
 def undivided(layer: Layer, camera: ThinLens) -> list[Surface]:
     """Return a layer as it is, its mixed pixels with the labels that they have: a `Split` that divides none."""
-    return [(layer, None)]
+    return [Surface(layer)]
 
 
 def places(layer: Layer, camera: ThinLens) -> Image:
@@ -125,7 +177,7 @@ class KeptSurfaces:
         with self._lock:
             # The layer is kept as long as its number stands for it.
             self._kept[key] = layer, found
-            n_pixels = [len(surfaces) * each.depth.size for each, surfaces in self._kept.values()]
+            n_pixels = [sum(each.layer.depth.size for each in found) for _, found in self._kept.values()]
             while len(self._kept) > 1 and sum(n_pixels) > MOST_KEPT_PIXELS:
                 self._kept.popitem(last=False)
                 n_pixels.pop(0)
@@ -149,16 +201,20 @@ class SharedSurfaces:
         if not self._surfaces:
             self._surfaces = list(self._split(layer, camera))
             return self._surfaces
-        shares = [share for _, share in self._surfaces if share is not None]
-        if not shares:
-            return [(replace(surface, radiance=layer.radiance), None) for surface, _ in self._surfaces]
-        place = np.stack([places(surface, camera) for surface, _ in self._surfaces])
+        if len(self._surfaces) == 1:
+            own = replace(self._surfaces[0].layer, radiance=layer.radiance)
+            return [self._surfaces[0]._replace(layer=own)]
+        # Divide the colours of all pixels, in planes for each surface.
+        place, share = np.zeros((2, len(self._surfaces), *layer.shape), np.float32)
+        for own, part, each in zip(place, share, self._surfaces, strict=True):
+            each.put(places(each.layer, camera), own)
+            assert each.share is not None, "only a single surface is all of each pixel"
+            each.put(each.share, part)
         colours = np.empty((*place.shape, 4), np.float32)
-        given = layer.radiance, place, np.stack(shares)
-        for_bands(_surface_kernels.recolour_surfaces, place.shape[1], *given, colours)
+        for_bands(_surface_kernels.recolour_surfaces, layer.shape[0], layer.radiance, place, share, colours)
         return [
-            (replace(surface, radiance=shown), share)
-            for (surface, share), shown in zip(self._surfaces, colours, strict=True)
+            each._replace(layer=replace(each.layer, radiance=each.taken(own)))
+            for each, own in zip(self._surfaces, colours, strict=True)
         ]
 
 
@@ -171,7 +227,9 @@ def depth_is_filtered(place: Image) -> bool:
         Where surfaces lie in depth, as CoC radii, px.
     """
     total = np.zeros(2, np.int64)
-    for each in (place, np.ascontiguousarray(place.T)):
+    # Some rows and columns tell.
+    rows, columns = (slice(None, None, max(1, side // GUESSING_LINES)) for side in place.shape)
+    for each in map(np.ascontiguousarray, (place[rows], place[:, columns].T)):
         counts = np.zeros((len(each), 2), np.int64)
         for_bands(_blend_kernels.count_edges, len(each), each, LEAST_GAP, counts)
         total += counts.sum(axis=0)
@@ -184,9 +242,10 @@ def without_nothing(layer: Layer) -> Layer:
     Where depth is filtered, and a surface ends before nothing, its depth is mixed with whatever stands for nothing. As
     alpha is filtered alike, it tells how.
     """
-    alpha = np.ascontiguousarray(layer.radiance[..., 3])
-    if not ((alpha > 0.0) & (alpha < 1.0)).any() or alpha.all():
+    alpha = layer.radiance[..., 3]
+    if alpha.all() or not ((alpha > 0.0) & (alpha < 1.0)).any():
         return layer
+    alpha = np.ascontiguousarray(alpha)
     height, surface = len(alpha), np.empty_like(alpha)
     for_bands(_blend_kernels.take_nothing_out, height, layer.depth, alpha, surface)
     counts = np.empty((height, 2), np.int64)
@@ -227,9 +286,10 @@ def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Lay
 
 
 def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
-    taken = np.empty_like(values)
-    shape = (*values.shape[:2], values[0, 0].size)
-    for_bands(_label_kernels.take, len(values), values.reshape(shape), source, taken.reshape(shape))
+    taken = np.empty(source.shape[:2] + values.shape[2:], np.float32)
+    n = values[0, 0].size
+    given = values.reshape(*values.shape[:2], n), source, taken.reshape(*source.shape[:2], n)
+    for_bands(_label_kernels.take, len(source), *given)
     return taken
 
 
@@ -248,11 +308,11 @@ def take_features(layer: Layer, like: Layer) -> Image:
 
 
 def with_features(layer: Layer, features: Image) -> Layer:
-    """Return a layer like another with features (H, W, n), see `take_features`; beyond all depths where they are 0."""
+    """Return a layer or a list with features (H, W, n) as another has; beyond all depths where they are 0."""
     begin, names = 4, ("depth", "depth_prev", "depth_next")[: len(layer.depths)]
     planes: dict[str, Any] = {"radiance": np.ascontiguousarray(features[..., :begin])}
     for name in names:
-        nearness, planes[name] = features[..., begin], np.full(layer.shape, np.inf, np.float32)
+        nearness, planes[name] = features[..., begin], np.full(features.shape[:2], np.inf, np.float32)
         np.divide(-1.0, nearness, out=planes[name], where=nearness < 0.0)
         begin += 1
     for name in ("motion", "motion_prev", "motion_next")[: len(layer.motions)]:

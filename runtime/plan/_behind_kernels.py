@@ -7,11 +7,13 @@ import numpy as np
 from spreadlets.compiled import helper, kernel
 
 BLOCK = 8
-"""Side, px, of the blocks of pixels that are looked up together."""
+"""Side, cells, of the blocks that are looked up together; and, px, of the tiles whose blur is known."""
 AROUND = 12
-"""So far around a block, px, it is compared with other places."""
+"""So far around a block, cells, it is compared with other places."""
 FARTHEST = 96
-"""Farthest that another place may lie along each axis, px."""
+"""Farthest that another place may lie along each axis, cells."""
+EXACT = 16.0
+"""Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
 TRIALS = 48
 """Places that each block tries by itself; then it tries those of its neighbours, and what lies beside the best."""
 ROUNDS = 4
@@ -26,7 +28,7 @@ LEAST_LIGHT = 0.05
 LEAST_COVER = 0.25
 """Share of what was seen around a block that is of the layer: what is less is small, and stands amid others."""
 FAR_PRICE = 0.02 / FARTHEST**2
-"""What a squared distance, px, counts beside squared relative differences."""
+"""What a squared distance, cells, counts beside squared relative differences."""
 HIDDEN_PRICE = 1.0
 """The same of a place where nothing was seen of what is looked for."""
 SPARSE, SHEAR = 9, 4
@@ -42,153 +44,289 @@ COLOUR, ALPHA, BLUR = 4, 3, -1
 
 
 @helper
-def _part(layer, farther, weight, row, col, number):
-    """Return the share of a pixel that lies in a layer."""
-    part = np.float32(0.0)
-    if layer[row, col] == number:
-        part = np.float32(1.0) - farther[row, col]
-    elif layer[row, col] == number - 1:
-        part = farther[row, col]
-    return part * weight[row, col] if weight.shape[0] else part
+def _part(layer, farther, number):
+    """Return the share of a surface that lies in a layer."""
+    if layer == number:
+        return np.float32(1.0) - farther
+    return farther if layer == number - 1 else np.float32(0.0)
 
 
 @kernel
-def add_cover(begin, end, layer, farther, radiance, weight, blur, number, cover, reach, sums):
-    """Add what a pass of pixels covers of a layer to ``cover`` (H, W), and see how far it blurs.
+def sum_layers(begin, end, surface, at, corner, cover, sums, reach):
+    """See what a surface covers in each layer, and how far that blurs.
 
     Parameters
     ----------
-    layer, farther, radiance, weight, blur, number
-        As for `add_features`.
-    reach : ndarray of shape (H, W), float32
-        The largest blur of each pixel, px; raised.
-    sums : ndarray of shape (H, 3), float64
-        Of each row, the sums of the cover and of the cover times the blur, and the largest blur; changed.
+    surface : tuple of ndarrays
+        ``layer`` (H, W), int32, and ``farther`` (H, W), float32: see `runtime.plan.layering.Membership`; ``radiance``
+        (H, W, 4), ``weight`` (H, W) or (0, 0), ``coc`` and ``length`` (H, W), float32.
+    at : ndarray of shape (H, W, 2) or (0, 0, 2), int32
+        Where the pixels of a list lie, rows and columns; empty for those of a frame. A list is done in one call.
+    corner : tuple of two ints
+        Row and column of the frame's first pixel, counted from the picture's centre, which tiles are aligned with.
+    cover : ndarray of shape (H, W), float32
+        Filled with the share of its pixel that the surface covers.
+    sums : ndarray of shape (h, n_layers, 3), float64
+        Of each row of tiles, and each layer: the cover, the cover times the blur, px, and the largest blur; changed.
+    reach : ndarray of shape (h, w, n_layers), float32
+        The largest blur of each layer in each tile; raised.
     """
-    for row in range(begin, end):
-        for col in range(layer.shape[1]):
-            if not number - 1 <= layer[row, col] <= number:
-                continue
-            each = _part(layer, farther, weight, row, col, number) * radiance[row, col, 3]
-            if each > 0.0:
-                cover[row, col] += each
-                reach[row, col] = max(reach[row, col], blur[row, col])
-                sums[row, 0] += each
-                sums[row, 1] += np.float64(each) * blur[row, col]
-                sums[row, 2] = max(sums[row, 2], np.float64(blur[row, col]))
+    layer, farther, radiance, weight, coc, length = surface
+    listed, down, left = at.shape[0] > 0, corner[0] % BLOCK, corner[1] % BLOCK
+    above = 0 if listed else down
+    for tile in range(begin, end):
+        for row in range(max(tile * BLOCK - above, 0), min((tile + 1) * BLOCK - above, layer.shape[0])):
+            for col in range(layer.shape[1]):
+                # What is drawn of the surface covers its pixel.
+                own = radiance[row, col, 3] * (weight[row, col] if weight.shape[0] else np.float32(1.0))
+                cover[row, col] = own
+                if own <= 0.0:
+                    continue
+                blur = abs(coc[row, col]) + np.float32(0.5) * length[row, col]
+                y, x = (at[row, col, 0], at[row, col, 1]) if listed else (row, col)
+                # Sum it up in the one or two layers that it lies in.
+                for number in range(layer[row, col], layer[row, col] + 2):
+                    each = own * _part(layer[row, col], farther[row, col], number)
+                    if each > 0.0:
+                        total, far = sums[tile, number], reach[(y + down) // BLOCK, (x + left) // BLOCK]
+                        total[0] += each
+                        total[1] += np.float64(each) * blur
+                        total[2] = max(total[2], np.float64(blur))
+                        far[number] = max(far[number], blur)
+
+
+@helper
+def _pixels_in(number, level, corner, size):
+    """Return the first row of a frame in a row of cells, and the first behind; for columns alike."""
+    cell = 1 << level
+    begin = number * cell - corner % cell
+    return max(begin, 0), min(begin + cell, size)
 
 
 @kernel
-def add_features(begin, end, layer, farther, radiance, weight, blur, depths, motions, number, features):
-    """Add to ``features`` (H, W, n), float32, what a pass of pixels shows of a layer.
+def enter_layer(begin, end, members, cover, at, number, level, corner, nearer, cells):
+    """Let a surface's pixels in the layer before a layer hide what lies in it, and sum up in cells what they cover.
 
     Parameters
     ----------
-    layer : ndarray of shape (H, W), int32
-    farther : ndarray of shape (H, W), float32
-        Layers of the pixels, and their shares in the next one, see `runtime.plan.layering.Membership`.
-    radiance : ndarray of shape (H, W, 4), float32
-    weight : ndarray of shape (H, W) or (0, 0), float32
-    blur : ndarray of shape (H, W), float32
-        How far each pixel blurs, px.
-    depths : tuple of ndarrays of shape (H, W), float32
-        Metres.
-    motions : tuple of ndarrays of shape (H, W, 2), float32
+    members : tuple of ndarrays of shape (H, W), int32 and float32
+        The surface's ``layer`` and ``farther``.
+    cover, at, corner
+        As for `sum_layers`.
     number : int
         The layer.
+    level : int
+        Cells have sides of 2^level px; they are aligned as tiles are.
+    nearer : ndarray of shape (H, W), float32
+        Share of each pixel that nearer layers hide; raised.
+    cells : tuple of two ndarrays of shape (h, w), float32
+        ``hides``, the mean of ``nearer`` in each cell, and ``covers``, that of what the layer covers: added to by
+        lists, and made means by the surface of a frame, which comes last.
     """
-    for row in range(begin, end):
-        for col in range(layer.shape[1]):
-            if not number - 1 <= layer[row, col] <= number:
-                continue
-            part = _part(layer, farther, weight, row, col, number)
-            out = features[row, col]
-            # Colour and alpha by the pixel's share in the layer; all else by what it covers.
-            for c in range(COLOUR):
-                out[c] += part * radiance[row, col, c]
-            cover = part * radiance[row, col, 3]
-            c = COLOUR
-            for depth in depths:
-                out[c] -= cover / depth[row, col]
-                c += 1
-            for motion in motions:
-                out[c] += cover * motion[row, col, 0]
-                out[c + 1] += cover * motion[row, col, 1]
-                c += 2
-            # How far it blurs comes last.
-            out[BLUR] += cover * blur[row, col]
+    layer, farther = members
+    hides, covers = cells
+    listed, down, left = at.shape[0] > 0, corner[0] % (1 << level), corner[1] % (1 << level)
+    for i in range(begin, end):
+        first, last = (i, i + 1) if listed else _pixels_in(i, level, corner[0], len(nearer))
+        for row in range(first, last):
+            for col in range(layer.shape[1]):
+                y, x = (at[row, col, 0], at[row, col, 1]) if listed else (row, col)
+                own = layer[row, col]
+                # Hide by the layer before, and cover by the layer itself.
+                if number - 2 <= own <= number and cover[row, col] > 0.0:
+                    nearer[y, x] += cover[row, col] * _part(own, farther[row, col], number - 1)
+                    here = cover[row, col] * _part(own, farther[row, col], number)
+                    covers[(y + down) >> level, (x + left) >> level] += here
+                if not listed:
+                    hides[i, (x + left) >> level] += nearer[y, x]
+        # Turn the sums into means.
+        if level and not listed:
+            for j in range(hides.shape[1]):
+                start, stop = _pixels_in(j, level, corner[1], nearer.shape[1])
+                scale = np.float32(1.0) / ((last - first) * (stop - start))
+                hides[i, j] *= scale
+                covers[i, j] *= scale
 
 
 @kernel
-def row_distances(begin, end, nearer, distance):
-    """Fill ``distance`` (H, W), int32, with the columns from each pixel to the next one mostly seen in its row."""
-    width = nearer.shape[1]
+def add_features(begin, end, surface, at, planes, number, level, corner, wanted, features):
+    """Add up in cells what a surface shows of a layer.
+
+    Parameters
+    ----------
+    surface, at, corner
+        As for `sum_layers`.
+    planes : tuple of two tuples of ndarrays of shapes (H, W) and (H, W, 2), float32
+        The surface's depths, metres, and motions.
+    number, level
+        As for `enter_layer`.
+    wanted : ndarray of shape (h / BLOCK, w / BLOCK), bool
+        The blocks of cells that are to be filled.
+    features : ndarray of shape (h, w, n), float32
+        Changed: means of colour, of nearness and motions times alpha, and last how far it blurs, px; as for `cells`.
+    """
+    layer, farther, radiance, weight, coc, length = surface
+    listed, down, left = at.shape[0] > 0, corner[0] % (1 << level), corner[1] % (1 << level)
+    above, before = (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
+    for i in range(begin, end):
+        first, last = (i, i + 1) if listed else _pixels_in(i, level, corner[0], layer.shape[0])
+        for row in range(first, last):
+            for col in range(layer.shape[1]):
+                if not number - 1 <= layer[row, col] <= number:
+                    continue
+                y, x = (at[row, col, 0], at[row, col, 1]) if listed else (row, col)
+                y, x = (y + down) >> level, (x + left) >> level
+                part = _part(layer[row, col], farther[row, col], number)
+                part *= weight[row, col] if weight.shape[0] else np.float32(1.0)
+                if part == 0.0 or not wanted[(y + above) // BLOCK, (x + before) // BLOCK]:
+                    continue
+                out = features[y, x]
+                # Colour and alpha by the pixel's share in the layer; all else by what it covers.
+                for c in range(COLOUR):
+                    out[c] += part * radiance[row, col, c]
+                cover = part * radiance[row, col, 3]
+                c = COLOUR
+                for depth in planes[0]:
+                    out[c] -= cover / depth[row, col]
+                    c += 1
+                for motion in planes[1]:
+                    out[c] += cover * motion[row, col, 0]
+                    out[c + 1] += cover * motion[row, col, 1]
+                    c += 2
+                # How far it blurs comes last.
+                out[BLUR] += cover * (abs(coc[row, col]) + np.float32(0.5) * length[row, col])
+        if level and not listed:
+            for j in range(features.shape[1]):
+                if wanted[(i + above) // BLOCK, (j + before) // BLOCK]:
+                    start, stop = _pixels_in(j, level, corner[1], layer.shape[1])
+                    for c in range(features.shape[2]):
+                        features[i, j, c] /= np.float32((last - first) * (stop - start))
+
+
+@kernel
+def row_distances(begin, end, hides, corner, distance, seen):
+    """Find the cells from each one to the next mostly seen one in its row, and the blocks that have such.
+
+    Parameters
+    ----------
+    hides : ndarray of shape (h, w), float32
+        Share of each cell that nearer layers hide.
+    corner : tuple of two ints
+        Row and column of the first cell, counted from the picture's centre: blocks lie as that does.
+    distance : ndarray of shape (h, w), int32
+        Filled.
+    seen : ndarray of shape (h / BLOCK, w / BLOCK), bool
+        Set.
+    """
+    width = hides.shape[1]
+    above, before = corner[0] % BLOCK, corner[1] % BLOCK
     for row in range(begin, end):
         for ahead in range(2):
             last = 1 << 14
             for n in range(width):
                 col = width - 1 - n if ahead else n
-                last = 0 if 1.0 - nearer[row, col] >= MOSTLY_SEEN else last + 1
+                last = last + 1
+                if 1.0 - hides[row, col] >= MOSTLY_SEEN:
+                    last = 0
+                    # Threads may write the same place, but nothing else than this.
+                    seen[(row + above) // BLOCK, (col + before) // BLOCK] = True
                 distance[row, col] = min(distance[row, col], last) if ahead else last
 
 
+@helper
+def _nearest(across, row, col, most):
+    """Return the distance from a cell to the next seen one, at most some, by those along the rows above and below."""
+    best, step = most * most, 0
+    while step * step < best:
+        for i in (row - step, row + step):
+            if 0 <= i < len(across):
+                best = min(best, step * step + np.float64(across[i, col]) ** 2)
+        step += 1
+    return math.sqrt(best)
+
+
 @kernel
-def find_gaps(begin, end, nearer, across, extent, own, gap):
-    """Fill ``gap`` (H, W), float32, with the distance, px, to what was seen; negative where what is hidden stays so.
+def nearest(begin, end, across, distance):
+    """Fill ``distance`` (h, w), float64, from distances along rows, see `row_distances`."""
+    for row in range(begin, end):
+        for col in range(across.shape[1]):
+            distance[row, col] = _nearest(across, row, col, 1.0 + max(across.shape))
+
+
+@kernel
+def find_gaps(begin, end, hides, across, away, blur, level, corner, gap):
+    """Fill ``gap`` (h, w), float32, with the cells to what was seen; negative where what is hidden stays so.
 
     Parameters
     ----------
-    nearer : ndarray of shape (H, W), float32
-        Share of each pixel that nearer layers hide.
-    across : ndarray of shape (H, W), int32
+    hides, across
         See `row_distances`.
-    extent : ndarray of shape (H, W), float32
-        How far from the pixel, px, the blur of what hides it may reveal what lies behind.
-    own : float
-        How far, px, the layer's own blur spreads what lies hidden.
+    away : ndarray of shape (h / BLOCK, w / BLOCK), float64
+        From each block to the next one of which something was seen, blocks.
+    blur : tuple of ndarray of shape (H / BLOCK, W / BLOCK), float32, and two floats
+        How far, px, the blur of what hides each tile of pixels may reveal what lies behind; how far the layer's own
+        blur spreads what lies hidden; and the distance, px, up to which gaps are to be exact.
+    level : int
+    corner : tuple of two ints
+        As for `enter_layer`.
     """
-    height = len(nearer)
+    reach, own, exact = blur
+    cell = 1 << level
+    above, before = (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
+    down, left = corner[0] % BLOCK - corner[0] % cell, corner[1] % BLOCK - corner[1] % cell
     for row in range(begin, end):
-        for col in range(nearer.shape[1]):
+        for col in range(hides.shape[1]):
             gap[row, col] = -1.0
-            if nearer[row, col] < NEGLIGIBLE:
+            # What hides nothing has no gap.
+            if hides[row, col] < NEGLIGIBLE:
                 continue
-            limit = np.float64(extent[row, col]) + own + 1.0
-            best, step = limit * limit, 0
-            while step * step < best:
-                for i in (row - step, row + step):
-                    if 0 <= i < height:
-                        best = min(best, step * step + np.float64(across[i, col]) ** 2)
-                step += 1
-            if best < limit * limit:
-                gap[row, col] = math.sqrt(best)
+            # Find how far the blurs reach, and whether by blocks that is too far.
+            extent = np.float64(reach[(row * cell + down) // BLOCK, (col * cell + left) // BLOCK])
+            limit = (extent + own + 1.0) / cell
+            most = min(max(EXACT, exact / cell), limit)
+            rough = BLOCK * away[(row + above) // BLOCK, (col + before) // BLOCK]
+            if rough - 1.5 * BLOCK < most:
+                exactly = _nearest(across, row, col, most)
+                if exactly < most:
+                    gap[row, col] = exactly
+                    continue
+            if most <= rough < limit:
+                gap[row, col] = rough
 
 
 @kernel
-def choose_blocks(begin, end, nearer, cover, gap, least, corner, unlike):
+def choose_blocks(begin, end, hides, covers, gap, least, corner, unlike):
     """Fill ``unlike`` (h, w), float64, with -1 for blocks that are left as they are, else infinity.
 
-    Those are looked up that have a gap wider than ``least``, px, in a layer that covers, or nearly so, what was seen.
-    Blocks lie as the picture's centre does, from which ``corner``, row and column of the frame's first pixel, count.
+    Those are looked up that have a gap wider than ``least``, cells, in a layer that covers, or nearly so, what was
+    seen. For ``hides`` and ``covers`` see `enter_layer`, for ``corner`` `row_distances`.
     """
-    height, width = nearer.shape
+    height, width = hides.shape
     for number in range(begin, end):
         for across in range(unlike.shape[1]):
-            wide, own, seen = False, 0.0, 0.0
             top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            unlike[number, across] = -1.0
+            # Is there a wide gap?
+            wide = False
+            for i in range(max(top, 0), min(top + BLOCK, height)):
+                for j in range(max(left, 0), min(left + BLOCK, width)):
+                    wide = wide or gap[i, j] > least
+            if not wide:
+                continue
+            # Is most of what was seen around of the layer?
+            own, seen = 0.0, 0.0
             for i in range(max(top - BLOCK, 0), min(top + 2 * BLOCK, height)):
                 for j in range(max(left - BLOCK, 0), min(left + 2 * BLOCK, width)):
-                    inside = 0 <= i - top < BLOCK and 0 <= j - left < BLOCK
-                    wide = wide or (inside and gap[i, j] > least)
-                    own += cover[i, j]
-                    seen += 1.0 - nearer[i, j]
-            unlike[number, across] = math.inf if wide and own >= LEAST_COVER * seen else -1.0
+                    own += covers[i, j]
+                    seen += 1.0 - hides[i, j]
+            if own >= LEAST_COVER * seen:
+                unlike[number, across] = math.inf
 
 
 @helper
-def _unlikeness(nearer, features, top, left, down, right, most):
+def _unlikeness(hides, features, top, left, down, right, most):
     """Return how unlike, mean squared, what was seen around a block is to what was seen (down, right) of it."""
-    height, width = nearer.shape
+    height, width = hides.shape
     price = FAR_PRICE * (down * down + right * right)
     if price >= most:
         return math.inf
@@ -196,7 +334,7 @@ def _unlikeness(nearer, features, top, left, down, right, most):
     unseen = 0
     for i in range(top + 1 + down, top + BLOCK + down, 2):
         for j in range(left + 1 + right, left + BLOCK + right, 2):
-            if not (0 <= i < height and 0 <= j < width) or 1.0 - nearer[i, j] < MOSTLY_SEEN:
+            if not (0 <= i < height and 0 <= j < width) or 1.0 - hides[i, j] < MOSTLY_SEEN:
                 unseen += 1
     price += HIDDEN_PRICE * unseen / (BLOCK // 2) ** 2
     if price >= most:
@@ -212,7 +350,7 @@ def _unlikeness(nearer, features, top, left, down, right, most):
         for j in range(left - AROUND + SHEAR * (i - top) % SPARSE, min(left + BLOCK + AROUND, width), SPARSE):
             if j < 0 or not 0 <= j + right < width:
                 continue
-            first, second = 1.0 - nearer[i, j], 1.0 - nearer[i + down, j + right]
+            first, second = 1.0 - hides[i, j], 1.0 - hides[i + down, j + right]
             if first < MOSTLY_SEEN or second < MOSTLY_SEEN:
                 continue
             weights += 1.0
@@ -226,85 +364,79 @@ def _unlikeness(nearer, features, top, left, down, right, most):
 
 
 @helper
-def _refine(nearer, features, top, left, size, best, place):
+def _refine(hides, features, top, left, size, best, place):
     """Move ``place`` by steps of some sizes, halved each time, while its surroundings get more alike."""
     while size:
         middle_row, middle_col = place[0], place[1]
         for i in range(-1, 2):
             for j in range(-1, 2):
                 down, right = middle_row + i * size, middle_col + j * size
-                each = _unlikeness(nearer, features, top, left, down, right, best)
+                each = _unlikeness(hides, features, top, left, down, right, best)
                 if each < best:
                     best, place[0], place[1] = each, down, right
         size //= 2
     return best
 
 
+@helper
+def _try_around(hides, features, top, left, part, best, place):
+    """Let a block try places of its own, and keep the best."""
+    for n in range(TRIALS):
+        # A sequence that fills the square evenly (Roberts 2018), another part of it for each block.
+        index = n + TRIALS * part
+        x, y = 0.7548776662466927 * index % 1.0, 0.5698402909980532 * index % 1.0
+        # Denser in the middle.
+        x, y = 2.0 * x - 1.0, 2.0 * y - 1.0
+        down, right = int(FARTHEST * y * abs(y)), int(FARTHEST * x * abs(x))
+        each = _unlikeness(hides, features, top, left, down, right, best)
+        if each < best:
+            best, place[0], place[1] = each, down, right
+    return best
+
+
 @kernel
-def try_places(begin, end, nearer, features, corner, places, unlike):
-    """Find for each block, among some places, where what was seen around it is most alike.
+def look_up(begin, end, hides, features, corner, given, places, unlike):
+    """Find for each block where what was seen around it is most alike: among some places, then those of its neighbours.
 
     Parameters
     ----------
-    nearer, features
-        As for `find_behind`.
+    hides, features
+        See `enter_layer` and `add_features`.
     corner : tuple of two ints
-        As for `choose_blocks`.
-    places : ndarray of shape (h, w, 2), int64
-        Filled with the rows and columns from the block to the place.
-    unlike : ndarray of shape (h, w), float64
-        See `choose_blocks`; filled, infinite where no place is found.
+        As for `row_distances`.
+    given : tuple of ndarrays of shapes (h, w, 2), int64, and (h, w), float64
+        What each block has found: rows and columns from it to the place, and how unlike that is, infinite where it has
+        looked for none; see `choose_blocks`.
+    places, unlike : ndarray
+        Filled with what it has found then.
     """
-    for number in range(begin, end):
-        for across in range(unlike.shape[1]):
-            place = places[number, across]
-            place[:] = 0
-            if unlike[number, across] < 0.0:
-                continue
-            best = math.inf
-            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
-            part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
-            for n in range(TRIALS):
-                # A sequence that fills the square evenly (Roberts 2018), another part of it for each block.
-                index = n + TRIALS * part
-                x, y = 0.7548776662466927 * index % 1.0, 0.5698402909980532 * index % 1.0
-                # Denser in the middle.
-                x, y = 2.0 * x - 1.0, 2.0 * y - 1.0
-                down, right = int(FARTHEST * y * abs(y)), int(FARTHEST * x * abs(x))
-                each = _unlikeness(nearer, features, top, left, down, right, best)
-                if each < best:
-                    best, place[0], place[1] = each, down, right
-            if best < math.inf:
-                best = _refine(nearer, features, top, left, 4, best, place)
-            unlike[number, across] = best
-
-
-@kernel
-def spread_places(begin, end, nearer, features, corner, places, unlike, new_places, new_unlike):
-    """Let each block try its neighbours' places: fill the new arrays, like those of `try_places`."""
+    old_places, old_unlike = given
     rows, cols = unlike.shape
     for number in range(begin, end):
         for across in range(cols):
-            best, place = unlike[number, across], new_places[number, across]
-            place[0], place[1] = places[number, across, 0], places[number, across, 1]
-            # Try the neighbours' places.
+            best, place = old_unlike[number, across], places[number, across]
+            place[0], place[1] = old_places[number, across, 0], old_places[number, across, 1]
             if best >= 0.0:
-                start = best
+                start, size = best, 2
                 top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+                if start == math.inf:
+                    part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
+                    best, size = _try_around(hides, features, top, left, part, best, place), 4
+                # Try the neighbours' places.
                 for i in range(max(number - 1, 0), min(number + 2, rows)):
                     for j in range(max(across - 1, 0), min(across + 2, cols)):
-                        if not 0.0 <= unlike[i, j] < math.inf:
+                        if not 0.0 <= old_unlike[i, j] < math.inf:
                             continue
-                        down, right = places[i, j, 0], places[i, j, 1]
+                        down, right = old_places[i, j, 0], old_places[i, j, 1]
                         if down == place[0] and right == place[1]:
                             continue
-                        each = _unlikeness(nearer, features, top, left, down, right, best)
+                        each = _unlikeness(hides, features, top, left, down, right, best)
                         if each < best:
                             best, place[0], place[1] = each, down, right
                 # Refine what was better.
                 if best < start:
-                    best = _refine(nearer, features, top, left, 2, best, place)
-            new_unlike[number, across] = best
+                    best = _refine(hides, features, top, left, size, best, place)
+            unlike[number, across] = best
 
 
 @helper
@@ -350,15 +482,15 @@ def take_elsewhere(begin, end, nearer, layer, seen, features, number, found, kno
 
 
 @helper
-def _copy(nearer, features, corner, places, unlike, row, col, value):
-    """Fill ``value`` (n) with what the places of the four blocks around a pixel show; return the sum of its weights.
+def _copy(hides, features, corner, places, unlike, row, col, value):
+    """Fill ``value`` (n) with what the places of the four blocks around a cell show; return the sum of its weights.
 
     They give way to each other linearly, the more alike counting more.
     """
-    height, width = nearer.shape
+    height, width = hides.shape
     y = (row + corner[0] % BLOCK + 0.5) / BLOCK - 0.5
     x = (col + corner[1] % BLOCK + 0.5) / BLOCK - 0.5
-    # Find the four blocks around the pixel.
+    # Find the four blocks around the cell.
     above, before = math.floor(y), math.floor(x)
     value[:] = 0.0
     total = 0.0
@@ -370,7 +502,7 @@ def _copy(nearer, features, corner, places, unlike, row, col, value):
         there_row, there_col = row + places[i, j, 0], col + places[i, j, 1]
         if not (0 <= there_row < height and 0 <= there_col < width):
             continue
-        seen = 1.0 - nearer[there_row, there_col]
+        seen = 1.0 - hides[there_row, there_col]
         if seen < MOSTLY_SEEN:
             continue
         # Blend, the more alike counting more.
@@ -383,36 +515,45 @@ def _copy(nearer, features, corner, places, unlike, row, col, value):
 
 
 @kernel
-def find_behind(begin, end, nearer, features, gap, corner, places, unlike, number, found, known):
+def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, found, known):
     """Guess what of a layer lies hidden in each pixel.
 
     Parameters
     ----------
     nearer : ndarray of shape (H, W), float32
         Share of each pixel that nearer layers hide.
-    features : ndarray of shape (H, W, n), float32
-        See `add_features`.
-    gap, corner, places, unlike
-        See `find_gaps` and `try_places`.
+    cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32
+        What hides them, see `enter_layer`; `add_features`; `find_gaps`.
+    looked_up : tuple of two ints and two ndarrays
+        Row and column of the first cell, as for `row_distances`; and the blocks' places, and how unlike these are.
+    level, corner
+        As for `enter_layer`.
     number : int
         The layer.
     found : tuple of ndarrays of shapes (H, W), (H, W) and (H, W, n - 1), int32 and float32
         Layer, share of the pixel, and features of the largest hidden surface; changed. All others are unknown.
     known : ndarray of shape (H, W), uint64
-        Bits of the layers in which each pixel is known; set.
+        Bits of the layers of which all that is hidden in a pixel is known; set.
     """
-    value = np.empty(features.shape[2])
-    bit = np.uint64(1) << np.uint64(number)
-    for row in range(begin, end):
-        for col in range(nearer.shape[1]):
-            hidden = np.float64(nearer[row, col])
-            if hidden < NEGLIGIBLE:
-                known[row, col] |= bit
-            elif gap[row, col] >= 0.0 and not known[row, col] & bit:
-                total = _copy(nearer, features, corner, places, unlike, row, col, value)
-                if total == 0.0:
-                    continue
-                if value[ALPHA] < NEGLIGIBLE * total:
-                    known[row, col] |= bit
-                else:
-                    _keep(row, col, number, hidden * value[ALPHA] / total, value, found, known)
+    hides, features, gap = cells
+    value, bit = np.empty(features.shape[2]), np.uint64(1) << np.uint64(number)
+    for i in range(begin, end):
+        top, bottom = _pixels_in(i, level, corner[0], nearer.shape[0])
+        for j in range(gap.shape[1]):
+            if gap[i, j] < 0.0:
+                continue
+            # Copy from what the blocks around were found to be like.
+            total = _copy(hides, features, *looked_up, i, j, value)
+            if total == 0.0:
+                continue
+            # Give it to the pixels of the cell of which something is hidden.
+            left, right = _pixels_in(j, level, corner[1], nearer.shape[1])
+            for row in range(top, bottom):
+                for col in range(left, right):
+                    hidden = np.float64(nearer[row, col])
+                    if hidden < NEGLIGIBLE or known[row, col] & bit:
+                        continue
+                    if value[ALPHA] < NEGLIGIBLE * total:
+                        known[row, col] |= bit
+                    else:
+                        _keep(row, col, number, hidden * value[ALPHA] / total, value, found, known)

@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import DoubleArray, Image, IntArray
+from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.pixels import Labelled
-from spreadlets.runtime.label.surfaces import take_features, with_features
+from spreadlets.runtime.label.surfaces import Surface, take_features, with_features
+from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.runtime.plan import _behind_kernels
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.scene.frame import Layer
@@ -27,32 +29,50 @@ FAR_BLUR = 2.0
 """How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
 
 
+FINENESS = 4.0
+"""What lies hidden is looked up in cells of this share of the blur that reveals it: it shows nothing finer."""
+BLOCKS_AROUND = -(-(_behind_kernels.FARTHEST + _behind_kernels.AROUND) // _behind_kernels.BLOCK) + 2
+"""So many blocks around those that are looked up may be compared: places are refined by a few cells."""
+NOWHERE = np.zeros((0, 0, 2), np.int32)
+"""Where all pixels of a frame lie."""
+COARSEST = 1
+"""Cells are no larger than 2 to this power, px: of larger blocks too much is alike by chance."""
+
+
 class Behind(NamedTuple):
     """The hidden surfaces of a frame.
 
     Attributes
     ----------
-    layer : Layer
-        The hidden surface of each pixel, of several the largest.
-    share : ndarray of shape (H, W), float32
-        Share of the pixel that it would have if nothing nearer were there; 0 where there is none.
+    surface : Surface or None
+        A list of the pixels in which there is one, of several the largest; its share of the pixel is the one that it
+        would have if nothing nearer were there. None if there are none.
     known : ndarray of shape (H, W), uint64
-        Bit k says that all of depth layer k in the pixel is known: seen, or the hidden surface.
+        Bit k says that all that is hidden of depth layer k in the pixel is known.
     """
 
-    layer: Layer
-    share: Image
+    surface: Surface | None
     known: npt.NDArray[np.uint64]
 
 
 class _Pass(NamedTuple):
-    """A surface of each pixel: its depth layers and their shares, its colours, weights and how far it blurs, px."""
+    """A surface of each pixel, or of a list of some: its depth layers, its colours, weights and how far it blurs."""
 
     layer: npt.NDArray[np.int32]
     farther: Image
     radiance: Image
     weight: Image
-    blur: Image
+    coc: Image
+    length: Image
+
+
+class _Seen(NamedTuple):
+    """All that was seen: surfaces, where they lie, and what they cover; the frame's own comes last."""
+
+    passes: list[_Pass]
+    at: list[npt.NDArray[np.int32]]
+    cover: list[Image]
+    corner: tuple[int, int]
 
 
 def find_behind(
@@ -66,7 +86,7 @@ def find_behind(
     Parameters
     ----------
     surfaces : sequence of (layer, pixels)
-        What is seen.
+        What is seen: all pixels of the frame, and lists.
     layering : Layering
         Its depth layers.
     elsewhere : (layer, pixels), optional
@@ -74,76 +94,129 @@ def find_behind(
     further : sequence of sequences of (layer, pixels)
         What is hidden in them is copied from the same places.
     """
+    # See what each surface covers of each layer, and how far that blurs.
+    frames = [list(reversed(each)) for each in (surfaces, *further)]
+    first, shape = surfaces[0][0], surfaces[0][0].shape
+    seen, sums, reaches = _seen_of(frames[0], layering)
     # What is hidden: layer, share of the pixel, and features of each frame; and the layers in which pixels are known.
-    first, passes = surfaces[0][0], [_pass_of(each, layering) for each in surfaces]
-    shape, n_features = first.shape, 4 + len(first.depths) + 2 * len(first.motions)
-    frames = [surfaces, *further]
+    n_features = 4 + len(first.depths) + 2 * len(first.motions)
     hidden = [
-        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.zeros((*shape, n_features), np.float32))
+        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.empty((*shape, n_features), np.float32))
         for _ in frames
     ]
-    corner = surfaces[0][1].labels.view.corner
-    nearer, reach = np.zeros((2, *shape), np.float32)
-    known = [np.ones(shape, np.uint64) for _ in frames]
-    for number in range(layering.n_layers):
-        cover, sums, hidden_reach = np.zeros(shape, np.float32), np.zeros((shape[0], 3)), reach.copy()
-        for each in passes:
-            for_bands(_behind_kernels.add_cover, shape[0], *each, number, cover, reach, sums)
-        if number and sums[:, 0].any():
-            if elsewhere is not None:
-                there = _pass_of(elsewhere, layering)
-                given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
-                for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden[0], known[0])
-            gap, unlike = _choose(nearer, cover, hidden_reach, sums, corner)
-            if (unlike >= 0.0).any():
-                shown = _features(passes, surfaces, number, n_features)
-                places = _places(nearer, shown, corner, unlike)
-                for index, frame in enumerate(frames):
-                    # The same places, in the frame's own colours.
-                    own = _features(passes, frame, number, n_features) if index else shown
-                    found = number, hidden[index], known[index]
-                    for_bands(_behind_kernels.find_behind, shape[0], nearer, own, gap, corner, *places, *found)
-        nearer += cover
-    return [
-        Behind(with_features(first, features), share, own)
-        for (_, share, features), own in zip(hidden, known, strict=True)
-    ]
+    known = [np.zeros(shape, np.uint64) for _ in frames]
+    nearer = np.zeros(shape, np.float32)
+    for number in range(1, layering.n_layers):
+        own, farthest = sums[number, 1] / max(sums[number, 0], 1e-9), sums[number, 2]
+        level = min(max(int(np.log2(max(own, 1.0) / FINENESS)), 0), COARSEST)
+        cells = _enter(seen, number, level, nearer)
+        if not sums[number, 0]:
+            continue
+        if elsewhere is not None:
+            there = _pass_of(elsewhere, layering)
+            given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
+            for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden[0], known[0])
+        blur = reaches[..., :number].max(axis=2), min(float(farthest), FAR_BLUR * float(own)), LEAST_GAP * float(own)
+        chosen = _choose(*cells, blur, level, seen.corner)
+        if chosen is None:
+            continue
+        gap, unlike = chosen
+        corner = _corner(seen.corner, level)
+        wanted = largest_around(unlike >= 0.0, BLOCKS_AROUND)
+        places = None
+        for index, frame in enumerate(frames):
+            # The same places, in the frame's own colours.
+            features = _features(seen, frame, number, level, wanted, (*cells[0].shape, n_features + 1))
+            places = _places(cells[0], features, corner, unlike) if places is None else places
+            looked_up = (cells[0], features, gap), (corner, *places), level, seen.corner
+            for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
+    return [Behind(_listed(first, *found[1:]), each) for found, each in zip(hidden, known, strict=True)]
 
 
-def _features(passes: Sequence[_Pass], surfaces: Sequence[Labelled], number: int, n_features: int) -> Image:
-    """Return what the surfaces of a frame show of a layer, see the kernel."""
-    shape = surfaces[0][0].shape
-    shown = np.zeros((*shape, n_features + 1), np.float32)
-    for each, (layer, _) in zip(passes, surfaces, strict=True):
-        given = each._replace(radiance=layer.radiance)
-        for_bands(_behind_kernels.add_features, shape[0], *given, layer.depths, layer.motions, number, shown)
-    return shown
+def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, DoubleArray, Image]:
+    """Return what was seen; and of each layer sums, (n_layers, 3), and the reach in each tile, see the kernel."""
+    labels = [pixels.labels for _, pixels in surfaces]
+    passes, corner = [_pass_of(each, layering) for each in surfaces], labels[-1].view.corner
+    at = [NOWHERE if each.view.places is None else each.view.places.at for each in labels]
+    cover = [np.empty_like(each.coc) for each in labels]
+    tiles = tiling(surfaces[-1][0].shape, _behind_kernels.BLOCK, corner)
+    sums = np.zeros((len(labels), layering.n_layers, 3))
+    reach = np.zeros((*tiles, layering.n_layers), np.float32)
+    for number, each in enumerate(zip(passes, at, strict=True)):
+        part = np.zeros((-(-len(cover[number]) // _behind_kernels.BLOCK) + 1, *sums.shape[1:]))
+        given = *each, corner, cover[number], part, reach
+        if len(at[number]):
+            _behind_kernels.sum_layers(0, len(part), *given)
+        else:
+            for_bands(_behind_kernels.sum_layers, tiles[0], *given)
+        sums[number, :, :2], sums[number, :, 2] = part[..., :2].sum(axis=0), part[..., 2].max(axis=0)
+    total = np.concatenate([sums[..., :2].sum(axis=0), sums[..., 2:].max(axis=0)], axis=1)
+    return _Seen(passes, at, cover, corner), total, reach
 
 
 def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
     layer, pixels = surface
-    members = layering.members(pixels.labels, np.zeros(layer.shape, np.int32))
-    blur = np.abs(pixels.labels.coc) + np.float32(0.5) * pixels.labels.length
-    return _Pass(members.layer, members.farther, layer.radiance, pixels.weight, blur)
+    labels = pixels.labels
+    members = layering.members(labels, np.empty(layer.shape, np.int32))
+    return _Pass(members.layer, members.farther, layer.radiance, pixels.weight, labels.coc, labels.length)
+
+
+def _enter(seen: _Seen, number: int, level: int, nearer: Image) -> tuple[Image, Image]:
+    """Let the layer before hide what lies in a layer; return what nearer ones hide and it covers, see the kernel."""
+    shape = tiling(seen.cover[-1].shape, 1 << level, seen.corner)
+    cells = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    for each, at, cover in zip(seen.passes, seen.at, seen.cover, strict=True):
+        given = each[:2], cover, at, number, level, seen.corner, nearer, cells
+        if len(at):
+            _behind_kernels.enter_layer(0, len(at), *given)
+        else:
+            for_bands(_behind_kernels.enter_layer, shape[0], *given)
+    return cells
 
 
 def _choose(
-    nearer: Image, cover: Image, reach: Image, sums: DoubleArray, corner: tuple[int, int]
-) -> tuple[Image, DoubleArray]:
-    """Return the widths of a layer's gaps, and which blocks of pixels are to be looked up, see the kernels."""
-    own, height = float(sums[:, 1].sum() / sums[:, 0].sum()), len(nearer)
-    across, gap = np.empty(nearer.shape, np.int32), np.empty_like(nearer)
-    for_bands(_behind_kernels.row_distances, height, nearer, across)
-    farthest = min(float(sums[:, 2].max()), FAR_BLUR * own)
-    for_bands(_behind_kernels.find_gaps, height, nearer, across, reach, farthest, gap)
-    size = _behind_kernels.BLOCK
-    unlike = np.empty([-(-(side + at % size) // size) for side, at in zip(nearer.shape, corner, strict=True)])
-    for_bands(_behind_kernels.choose_blocks, len(unlike), nearer, cover, gap, LEAST_GAP * own, corner, unlike)
-    return gap, unlike
+    hides: Image, covers: Image, blur: tuple[Image, float, float], level: int, corner: tuple[int, int]
+) -> tuple[Image, DoubleArray] | None:
+    """Return the widths of a layer's gaps, and which blocks are to be looked up, see the kernels; None if none are."""
+    across, gap = np.empty(hides.shape, np.int32), np.empty_like(hides)
+    inner = _corner(corner, level)
+    blocks = tiling(hides.shape, _behind_kernels.BLOCK, inner)
+    is_seen = np.zeros(blocks, np.bool_)
+    for_bands(_behind_kernels.row_distances, len(hides), hides, inner, across, is_seen)
+    if not is_seen.any():
+        return None
+    # How far blocks lie from the next one of which something was seen.
+    apart, away = np.empty(blocks, np.int32), np.empty(blocks)
+    for_bands(_behind_kernels.row_distances, blocks[0], (~is_seen).astype(np.float32), (0, 0), apart, is_seen.copy())
+    for_bands(_behind_kernels.nearest, blocks[0], apart, away)
+    for_bands(_behind_kernels.find_gaps, len(hides), hides, across, away, blur, level, corner, gap)
+    unlike, least = np.empty(blocks), blur[2] / (1 << level)
+    for_bands(_behind_kernels.choose_blocks, len(unlike), hides, covers, gap, least, inner, unlike)
+    return (gap, unlike) if (unlike >= 0.0).any() else None
+
+
+def _corner(corner: tuple[int, int], level: int) -> tuple[int, int]:
+    """Return row and column of the first cell, counted from the picture's centre."""
+    return corner[0] >> level, corner[1] >> level
+
+
+def _features(
+    seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, wanted: BoolArray, shape: tuple[int, int, int]
+) -> Image:
+    """Return what the surfaces of a frame show of a layer, see the kernel."""
+    features = np.zeros(shape, np.float32)
+    for each, at, (layer, _) in zip(seen.passes, seen.at, surfaces, strict=True):
+        planes = layer.depths, layer.motions
+        given = each._replace(radiance=layer.radiance), at, planes, number, level, seen.corner, wanted, features
+        if len(at):
+            _behind_kernels.add_features(0, len(at), *given)
+        else:
+            for_bands(_behind_kernels.add_features, len(features), *given)
+    return features
 
 
 def _places(
-    nearer: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray
+    hides: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray
 ) -> tuple[IntArray, DoubleArray]:
     """Return for each block where what was seen around it is most alike, and how unlike.
 
@@ -151,10 +224,20 @@ def _places(
     -----
     PatchMatch (Barnes et al. 2009), for blocks and with trials that are the same each time.
     """
-    places = np.empty((*unlike.shape, 2), np.int64)
-    for_bands(_behind_kernels.try_places, len(unlike), nearer, features, corner, places, unlike)
+    found = np.zeros((*unlike.shape, 2), np.int64), unlike
     for _ in range(_behind_kernels.ROUNDS):
-        before = places, unlike
-        places, unlike = np.empty_like(places), np.empty_like(unlike)
-        for_bands(_behind_kernels.spread_places, len(unlike), nearer, features, corner, *before, places, unlike)
-    return places, unlike
+        before, found = found, (np.empty_like(found[0]), np.empty_like(unlike))
+        for_bands(_behind_kernels.look_up, len(unlike), hides, features, corner, before, *found)
+    return found
+
+
+def _listed(first: Layer, share: Image, features: Image) -> Surface | None:
+    """Return a list of the pixels in which something lies hidden."""
+    chosen = np.flatnonzero(share)
+    if not len(chosen):
+        return None
+    index = rows_of(chosen)
+    at = np.stack(np.divmod(index, share.shape[1]), axis=-1).astype(np.int32)
+    part = share.ravel()[index]
+    part.ravel()[len(chosen) :] = 0.0
+    return Surface(with_features(first, features.reshape(-1, features.shape[2])[index]), part, at)

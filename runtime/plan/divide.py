@@ -12,7 +12,7 @@ from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, hidden_pixels, labelled, surface_pixels
 from spreadlets.runtime.label.reprojection import reproject
-from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces
+from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, Surface, split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, MOST_LAYERS
 from spreadlets.runtime.plan.behind import find_behind
 from spreadlets.runtime.plan.layering import Layering
@@ -75,17 +75,18 @@ def divide_frames(
     drawn = [(each.labels, _drawn(each)) for each in seen[0]]
     layering = Layering.fitted(drawn[:1], most, softness, drawn[1:])
     if layering.n_layers == 1:
-        return Divided(seen, 0, layering, np.ones(layers[0].shape, np.uint64))
+        return Divided(seen, 0, layering, np.zeros(layers[0].shape, np.uint64))
     # Find what nearer ones hide of each.
     elsewhere = None
     if neighbours:
         farther, there = reproject(layers[0], neighbours, camera)
-        elsewhere = labelled(farther, there, camera, effects)
+        elsewhere = labelled(Surface(farther, there), farther.shape, camera, effects)
     behind = find_behind(surfaces, layering, elsewhere, further)
-    if not behind[0].share.any():
+    if behind[0].surface is None:
         return Divided(seen, 0, layering, behind[0].known)
     for sets, each in zip(seen, behind, strict=True):
-        hidden = labelled(each.layer, behind[0].share, camera, effects)
+        assert each.surface is not None, "all frames hide the same"
+        hidden = labelled(each.surface, layers[0].shape, camera, effects)
         sets.append(hidden_pixels(hidden, camera, effects, sets[0].radiance))
     return Divided(seen, 1, layering, behind[0].known)
 

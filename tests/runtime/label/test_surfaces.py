@@ -45,6 +45,25 @@ def dot(x, y):
     return np.hypot(x - 11.8, y - 12.1) < 1.9
 
 
+def in_frame(found, shape):
+    """Return surfaces as layers and shares of all pixels; where a list has none, the share is 0."""
+    passes = []
+    for layer, share, at in found:
+        if at is not None:
+            drawn, whole = share > 0, np.zeros(shape, np.float32)
+            place = tuple(at[drawn].T)
+            whole[place] = share[drawn]
+
+            def spread(values, place=place, drawn=drawn):
+                planes = np.ones((*shape, *values.shape[2:]), np.float32)
+                planes[place] = values[drawn]
+                return planes
+
+            layer, share = layer.mapped(spread, spread, spread(layer.radiance)), whole
+        passes.append((layer, share))
+    return passes
+
+
 def near_share(passes):
     return sum(share * (layer.depth < 3.0) for layer, share in passes)
 
@@ -57,7 +76,7 @@ def inner(values, margin=3):
 @pytest.mark.parametrize(("shape", "most"), [(edge, 0.06), (stick, 0.2), (dot, 0.25)])
 def test_each_surface_gets_its_share(shape, most, filtered):
     layer, truth = drawn(shape, filtered=filtered)
-    error = np.abs(inner(near_share(list(split_surfaces(layer, CAMERA))) - truth))
+    error = np.abs(inner(near_share(in_frame(split_surfaces(layer, CAMERA), layer.shape)) - truth))
     assert error.max() < most
     assert error[(inner(truth) > 0.02) & (inner(truth) < 0.98)].mean() < most / 2
 
@@ -66,7 +85,7 @@ def test_each_surface_gets_its_share(shape, most, filtered):
 @pytest.mark.parametrize("shape", [edge, stick, dot])
 def test_each_surface_gets_its_colour_and_all_add_up_to_the_pixel(shape, filtered):
     layer, truth = drawn(shape, filtered=filtered)
-    passes = list(split_surfaces(layer, CAMERA))
+    passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
     total = sum(each.radiance * share[..., None] for each, share in passes)
     assert np.abs(total - layer.radiance).max() < 1e-6
     assert np.abs(sum(share for _, share in passes) - 1).max() < 1e-6
@@ -79,7 +98,7 @@ def test_each_surface_gets_its_colour_and_all_add_up_to_the_pixel(shape, filtere
 
 def test_labels_are_those_of_a_surface_beside_the_pixel():
     layer, _ = drawn(edge, filtered=True)
-    for each, share in split_surfaces(layer, CAMERA):
+    for each, share in in_frame(split_surfaces(layer, CAMERA), layer.shape):
         used = inner(share) > 0
         depth, motion = inner(each.depth)[used], inner(each.motion)[used]
         is_near = depth < 0.5 * (NEAR + FAR)
@@ -89,7 +108,7 @@ def test_labels_are_those_of_a_surface_beside_the_pixel():
 
 def test_an_element_over_nothing_is_one_surface():
     layer, share = drawn(edge, filtered=True, alpha=True)
-    ((found, weight),) = split_surfaces(layer, CAMERA)
+    ((found, weight, _),) = split_surfaces(layer, CAMERA)
     assert weight is None and np.array_equal(found.radiance, layer.radiance)
     assert (found.depth[share > 0.02] == NEAR).all(), "edges have the element's depth, not that of the nothing behind"
 
@@ -106,7 +125,7 @@ def test_an_element_over_nothing_is_one_surface():
 def test_one_surface_is_left_as_it_is(depth):
     layer = Frame(np.random.default_rng(0).random((9, 12, 3)), depth).layers[0]
     narrow = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2.8, focus_distance_m=6.0)
-    ((found, share),) = split_surfaces(layer, narrow)
+    ((found, share, _),) = split_surfaces(layer, narrow)
     assert share is None and found is layer
 
 
@@ -121,7 +140,8 @@ def test_filtered_depth_is_told_from_point_samples(shape):
 def test_a_bright_lamp_keeps_its_light_to_itself():
     layer, truth = drawn(dot)
     lamp = Frame(truth[..., None] * 450.0 + (1 - truth[..., None]) * BLUE * 0.05, layer.depth).layers[0]
-    far = sum((s * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, s in split_surfaces(lamp, CAMERA))
+    passes = in_frame(split_surfaces(lamp, CAMERA), lamp.shape)
+    far = sum((share * (each.depth > 3.0))[..., None] * each.radiance[..., :3] for each, share in passes)
     assert far.max() < 0.2, "the plane behind has .03 and less of its own"
 
 
@@ -155,8 +175,9 @@ def test_other_colours_are_divided_among_the_same_surfaces_in_the_same_shares(sh
     other = replace(layer, radiance=np.dstack([colours, layer.radiance[..., 3]]).astype(np.float32))
     split = SharedSurfaces(split_surfaces)
     own_surfaces, divided = split(layer, CAMERA), split(other, CAMERA)
-    for (surface, share), (own, own_share) in zip(own_surfaces, divided, strict=True):
+    for (surface, share, _), (own, own_share, _) in zip(own_surfaces, divided, strict=True):
         assert own_share is share and own.depth is surface.depth and own.motion is surface.motion
+    divided = in_frame(divided, layer.shape)
     total = sum(own.radiance * share[..., None] for own, share in divided)
     np.testing.assert_allclose(total, other.radiance, atol=1e-5)
     for own, share in divided:
