@@ -31,8 +31,8 @@ from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import Report, Tally, plan_figures
 from spreadlets.runtime.splat.gather import gather
-from spreadlets.runtime.splat.passes import Canvas, Runs, canvas_of, find_runs
-from spreadlets.runtime.splat.splat import splat_direct, splat_laplacian, sum_rows
+from spreadlets.runtime.splat.passes import DIRECT, GROUPS, STRIDES, Canvas, Runs, canvas_of, find_runs, union
+from spreadlets.runtime.splat.splat import add_to_canvas, splat_direct, splat_laplacian, sum_rows
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
 from spreadlets.scene.raster import Raster
@@ -349,7 +349,7 @@ def _add_plan(
     used = [
         k
         for k in range(plan.n_layers)
-        if any(len(r.of(2 * k)) + len(r.of(2 * k + 1)) for levels in sources for r in levels)
+        if any(len(runs.of(GROUPS * k + group)) for levels in sources for runs in levels for group in range(GROUPS))
     ]
     for number in used:
         canvas, padded = _splat_layer(sources, number, plan, solver, clock)
@@ -369,27 +369,43 @@ def _splat_layer(
     sources: list[list[Runs]], number: int, plan: Plan, solver: Solver, clock: Clock
 ) -> tuple[Canvas, Image]:
     """Return the sum of all splats of a layer, and the canvas that it lies on."""
-    sparse, direct = 2 * number, 2 * number + 1
     flat = [each for levels in sources for each in levels]
-    # Draw sparse Laplacians.
+    # Find what each group covers; all lies on one canvas.
     with clock.step("splat"):
-        canvas = canvas_of(flat, (sparse, direct), plan.table, SOLVER_MARGIN)
-        assert canvas is not None, "only layers with splats are drawn"
-        padded = np.empty((canvas.rows, canvas.cols, 4), np.float32)
-        drawn = [levels for levels in sources if any(len(each.of(sparse)) for each in levels)]
-        if drawn:
-            splat_laplacian(padded, canvas, drawn, sparse, plan.table)
-    if drawn:
-        # Integrate them.
-        with clock.step("integrate"):
-            padded = solver(padded)
-    else:
-        padded[...] = 0.0
+        canvases = {
+            group: canvas_of(flat, GROUPS * number + group, plan.table, margin, plan.corner)
+            for group, margin in enumerate((*(SOLVER_MARGIN * stride for stride in STRIDES), 0))
+        }
+        covered = {group: canvas for group, canvas in canvases.items() if canvas is not None}
+        whole = union(list(covered.values()))
+    # Draw sparse Laplacians, and integrate them; what is smooth is done by coarser pixels.
+    drawn = [
+        (canvas, STRIDES[group], _integrated(sources, number, group, plan, canvas, solver, clock))
+        for group, canvas in covered.items()
+        if group != DIRECT
+    ]
+    with clock.step("composite"):
+        if len(drawn) == 1 and drawn[0][:2] == (whole, 1):
+            padded = drawn[0][2]
+        else:
+            padded = np.zeros((whole.rows, whole.cols, 4), np.float32)
+            for canvas, step, image in drawn:
+                add_to_canvas(padded, whole, image, canvas, step)
     with clock.step("splat"):
         # Add small PSFs and exact highlights on top.
         for levels in sources:
-            splat_direct(padded, canvas, levels[0], direct, plan.table)
-    return canvas, padded
+            splat_direct(padded, whole, levels[0], GROUPS * number + DIRECT, plan.table)
+    return whole, padded
+
+
+def _integrated(
+    sources: list[list[Runs]], number: int, group: int, plan: Plan, canvas: Canvas, solver: Solver, clock: Clock
+) -> Image:
+    """Draw a group of a layer's sparse Laplacians, and return the image that they are of."""
+    with clock.step("splat"):
+        laplacian = splat_laplacian(canvas, sources, GROUPS * number + group, plan.table, STRIDES[group])
+    with clock.step("integrate"):
+        return solver(laplacian)
 
 
 def _filtered(

@@ -30,10 +30,10 @@ from spreadlets.runtime.plan.border import border_colours, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
-from spreadlets.runtime.plan.merge import merge_blocks
+from spreadlets.runtime.plan.merge import coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
-from spreadlets.runtime.splat.passes import PointTable, SplatPass
+from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -204,7 +204,8 @@ def plan_pixels(
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     # Choose the variants, and read their cells.
-    chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
+    tolerance = 0.0 if dense_psf else options.tolerance
+    chosen = _choose(pixel_sets, database, tolerance, dense_psf, exact_psf, stochastic=stochastic)
     # Assign the pixels to depth layers.
     if layering is None:
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
@@ -216,7 +217,7 @@ def plan_pixels(
         chosen=chosen,
         members=members,
         n_layers=n_layers,
-        tolerance=0.0 if dense_psf else options.tolerance,
+        tolerance=tolerance,
         border=border,
         stochastic=stochastic,
     )
@@ -241,6 +242,7 @@ def plan_pixels(
 def _choose(
     pixel_sets: Sequence[Pixels],
     database: Database,
+    tolerance: float,
     dense_psf: DensePsf | None,
     exact_psf: ExactPsf | None,
     *,
@@ -263,6 +265,7 @@ def _choose(
     points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
     variation = _variation(variants, spikes, table, database)
+    table = replace(table, group=_groups(table.direct, variation, tolerance))
     return _Choice(indices, variants, highlights, table, spike_of, variation)
 
 
@@ -306,10 +309,12 @@ def _lay_out(
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     own = highlights.splats(pixel_sets, members, table, len(chosen.variants), wide)
-    variation = np.tile(chosen.variation, n_layers)
-    merged = [merge_blocks(each, variation, tolerance) for each in splats]
+    side = np.append(STRIDES, 1)[table.group]
+    variation, sides = (np.tile(each, n_layers) for each in (chosen.variation, side))
+    merged = [merge_blocks(each, variation, sides, tolerance) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
-    return sources, max((bound for _, bound in merged), default=0.0)
+    bounds = [bound for _, bound in merged] + [float(coarse_error(chosen.variation, side).max(initial=0.0))]
+    return sources, max(bounds)
 
 
 def _variant_keys(
@@ -409,8 +414,18 @@ def _point_table(
         np.concatenate([np.zeros((0, 2), np.int32), *(offset_rc for offset_rc, _, _ in points)]),
         np.concatenate([np.zeros((0, n_channels), np.float32), *(value for _, value, _ in points)]),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        np.array([direct for _, _, direct in points], np.bool_),
+        np.where([direct for _, _, direct in points], DIRECT, 0).astype(np.int64),
     ), spike_of
+
+
+def _groups(
+    direct: npt.NDArray[np.bool_], variation: npt.NDArray[np.float32], tolerance: float
+) -> npt.NDArray[np.int64]:
+    """Choose how each variant is drawn: directly, or by the coarsest pixels that the tolerance allows."""
+    group = np.zeros(len(direct), np.int64)
+    for number, side in enumerate(STRIDES[1:], start=1):
+        group[coarse_error(variation, side) <= tolerance] = number
+    return np.where(direct, DIRECT, group)
 
 
 def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int) -> SplatPass:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime.splat._resample_kernels import shrink_row
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
 """Columns of the table of runs: first pixel in the flattened source; row and column in the frame; length; variant."""
@@ -315,18 +316,18 @@ def _spread(target, source, n_rows, stride, pitch):
 
 # fastmath stays off: a product and a sum for each element leave nothing to reorder, and results stay exact.
 @kernel
-def splat_levels(begin, end, image, levels, offsets, points, value, window, band_rows, scratch):
+def splat_levels(begin, end, image, levels, offsets, points, value, window, step, band_rows, scratch):
     """Draw every run with the points of its variant: each point adds the run, scaled, as one contiguous stretch.
 
     Blocks of 4 x 4 pixels are drawn by their first pixels, and spread by half their side; with blocks of 2 x 2 added
-    the same is done again, and single pixels are added last. All of it happens in bands of rows that stay in a core's
-    cache. Bands are independent (each row is summed in the order of the runs), so the result is the same for any number
-    of threads.
+    the same is done again, and single pixels are added last. What is smooth is then summed over coarser pixels. All of
+    it happens in bands of rows that stay in a core's cache. Bands are independent (each row is summed in the order of
+    the runs), so the result is the same for any number of threads.
 
     Parameters
     ----------
-    image : ndarray of shape (rows, cols * 4), float32
-        Overwritten; cols is a multiple of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
+    image : ndarray of shape (rows / step, cols / step * 4), float32
+        Overwritten; rows and cols are multiples of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
     levels : tuple of three Levels
         Of strides 1, 2 and 4.
     offsets : ndarray of shape (3, n_points), int64
@@ -335,20 +336,27 @@ def splat_levels(begin, end, image, levels, offsets, points, value, window, band
     value : ndarray of shape (n_points, 1) or (n_points, 4), float32
         For all channels, or for each of R, G, B and alpha.
     window : Window
-        The image's place. Its column fits all strides: it differs from those of blocks by multiples of 4.
+        The image's place. It fits all strides: it differs from those of blocks by multiples of 4.
+    step : int
+        Side of the image's pixels: 1, 2 or 4 px.
     band_rows : int
-        Height of a band.
-    scratch : ndarray of shape (2, band_rows + 3, cols * 4), float32
+        Height of a band, px; a multiple of 4.
+    scratch : ndarray of shape (3, band_rows + step + 3, cols * 4), float32
         Of this call alone.
     """
-    rows, pitch = image.shape
+    pitch = 4 * window.cols
+    rows = step * image.shape[0]
     level_1, level_2, level_4 = levels
     twos, fours = scratch[1].reshape(scratch[1].size), scratch[0].reshape(scratch[0].size)
+    around = step // 2
     for band in range(begin, end):
-        first_row = band * band_rows
-        n_rows = min(band_rows, rows - first_row)
-        # Clear the band.
-        target = image[first_row : first_row + n_rows].reshape(n_rows * pitch)
+        # Clear the band, and what coarser pixels reach beyond it.
+        first_row = band * band_rows - around
+        n_rows = min(band_rows, rows - band * band_rows) + 2 * around
+        if step == 1:
+            target = image[first_row : first_row + n_rows].reshape(n_rows * pitch)
+        else:
+            target = scratch[2, :n_rows].reshape(n_rows * pitch)
         target[:] = np.float32(0.0)
         # Find the blocks that reach the band, or the rows above it that spreading needs.
         first_2, end_2 = _runs_near(level_2, first_row - 1, n_rows + 1, window.reach)
@@ -365,6 +373,11 @@ def splat_levels(begin, end, image, levels, offsets, points, value, window, band
             _spread(target, twos, n_rows, np.int64(2), pitch)
         # Draw single pixels.
         _draw_rows(target, first_row, n_rows, level_1, np.int64(1), offsets[0], points, value, window)
+        # Sum all over coarser pixels.
+        if step > 1:
+            first = band * band_rows // step
+            for row in range(n_rows // step - 1):
+                shrink_row(image[first + row], target, row, step, pitch, twos)
 
 
 @helper

@@ -17,7 +17,10 @@ from spreadlets.runtime.splat import _splat_kernels
 from spreadlets.runtime.splat._splat_kernels import PointRows, SpanPlaces
 
 STRIDES = (1, 2, 4)
-"""Sides of the blocks, px, that can be drawn as one."""
+"""Sides of the blocks, px, that can be drawn as one; and of the pixels of the images that Laplacians are drawn into."""
+DIRECT = len(STRIDES)
+GROUPS = DIRECT + 1
+"""What is drawn of a layer: sparse variants by the side of their pixels, in the order of `STRIDES`; then direct ones."""
 
 
 class Spans(NamedTuple):
@@ -54,19 +57,25 @@ class PointTable:
         Values; C is 1 or 3.
     point_start : ndarray of shape (n_variants + 1,), int64
         The points of variant i are ``point_start[i]`` to ``point_start[i + 1]``.
-    direct : ndarray of shape (n_variants,), bool
-        Whether a variant's points are the PSF itself rather than its Laplacian.
+    group : ndarray of shape (n_variants,), int64
+        `DIRECT` if a variant's points are the PSF itself; else they are its Laplacian, drawn into an image of pixels
+        whose side is that of `STRIDES`.
     """
 
     offset_rc: npt.NDArray[np.int32]
     value: Image
     point_start: npt.NDArray[np.int64]
-    direct: npt.NDArray[np.bool_]
+    group: npt.NDArray[np.int64]
 
     @property
     def n_variants(self) -> int:
         """Number of variants."""
-        return len(self.direct)
+        return len(self.group)
+
+    @cached_property
+    def direct(self) -> npt.NDArray[np.bool_]:
+        """Whether each variant's points are the PSF itself."""
+        return self.group == DIRECT
 
     @property
     def n_points(self) -> npt.NDArray[np.int64]:
@@ -137,7 +146,7 @@ class SplatPass(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """The runs of like pixels of a pass, by group: ``2 * layer``, plus 1 where the variant is direct.
+    """The runs of like pixels of a pass, by group: ``GROUPS * layer`` plus that of the variant, see `PointTable`.
 
     Attributes
     ----------
@@ -168,8 +177,8 @@ class Canvas(NamedTuple):
 
 def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
     """List the runs of neighbouring pixels of a pass that share a label and a shift."""
-    group = (2 * np.arange(n_layers)[:, None] + table.direct).astype(np.int64).ravel()
-    count = np.empty((2 * n_layers, source.label.shape[0]), np.int64)
+    group = (GROUPS * np.arange(n_layers)[:, None] + table.group).astype(np.int64).ravel()
+    count = np.empty((GROUPS * n_layers, source.label.shape[0]), np.int64)
     for_bands(_splat_kernels.count_runs, count.shape[1], source.label, source.shift, group, count)
     ends = np.cumsum(count.ravel())
     start = np.concatenate([[0], ends[count.shape[1] - 1 :: count.shape[1]]])
@@ -183,23 +192,38 @@ def find_runs(source: SplatPass, table: PointTable, n_layers: int) -> Runs:
     return Runs(source, runs, start)
 
 
-def canvas_of(sources: Sequence[Runs], groups: Sequence[int], table: PointTable, margin: int) -> Canvas | None:
-    """Return the rectangle that holds all splats of some groups and a margin, or None if there are no splats.
+def canvas_of(
+    sources: Sequence[Runs], group: int, table: PointTable, margin: int, corner: tuple[int, int]
+) -> Canvas | None:
+    """Return the rectangle that holds all splats of a group and a margin, or None if there are no splats.
 
-    Its columns fit blocks of any stride, whose passes start at columns that differ by multiples of the largest.
+    Its sides lie at multiples of the largest stride, counted from the picture's centre, of which ``corner`` is the row
+    and column of the frame's first pixel: so blocks of any stride fit it.
     """
     bounds = [
         _splat_kernels.run_bounds(each.of(group), table.reaches, each.source.stride)
         for each in sources
-        for group in groups
         if len(each.of(group))
     ]
     if not bounds:
         return None
-    top, left, bottom, right = (
-        int(pick(side)) for pick, side in zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
+    sides = zip((min, min, max, max), zip(*bounds, strict=True), strict=True)
+    top, left, bottom, right = (int(pick(side)) for pick, side in sides)
+    (top, rows), (left, cols) = (
+        _whole_blocks(begin - margin, end + margin, at)
+        for begin, end, at in zip((top, left), (bottom, right), corner, strict=True)
     )
-    left -= margin
-    left -= (left - next((each.source.origin[1] for each in sources if each.source.stride > 1), 0)) % STRIDES[-1]
-    cols = right + margin - left
-    return Canvas(top - margin, left, bottom - top + 2 * margin, cols + -cols % STRIDES[-1])
+    return Canvas(top, left, rows, cols)
+
+
+def _whole_blocks(begin: int, end: int, at: int) -> tuple[int, int]:
+    """Widen a stretch until both ends, counted from ``-at``, are multiples of the largest stride; return its size."""
+    begin -= (begin + at) % STRIDES[-1]
+    return begin, end - begin + (begin - end) % STRIDES[-1]
+
+
+def union(canvases: Sequence[Canvas]) -> Canvas:
+    """Return the smallest rectangle that holds some others."""
+    top, left = min(each.top for each in canvases), min(each.left for each in canvases)
+    bottom, right = max(each.top + each.rows for each in canvases), max(each.left + each.cols for each in canvases)
+    return Canvas(top, left, bottom - top, right - left)

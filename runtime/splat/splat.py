@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
-from spreadlets.runtime.splat import _splat_kernels
+from spreadlets.runtime.splat import _resample_kernels, _splat_kernels
 from spreadlets.runtime.splat._splat_kernels import Level, Window
 from spreadlets.runtime.splat.passes import STRIDES, Canvas, PointTable, Runs
 
@@ -18,14 +18,12 @@ BAND_ROWS = 32
 
 
 def splat_laplacian(
-    image: Image, canvas: Canvas, passes: Sequence[Sequence[Runs]], group: int, table: PointTable
-) -> None:
-    """Draw one group of sparse variants into an image.
+    canvas: Canvas, passes: Sequence[Sequence[Runs]], group: int, table: PointTable, step: int = 1
+) -> Image:
+    """Draw one group of sparse variants.
 
     Parameters
     ----------
-    image : ndarray of shape (canvas.rows, canvas.cols, 4), float32, contiguous
-        Laplacian image; overwritten.
     canvas : Canvas
         Every splat must lie within it.
     passes : sequence of sequences of Runs
@@ -34,6 +32,13 @@ def splat_laplacian(
         The group to draw.
     table : PointTable
         Points of the variants.
+    step : int
+        Side, px, of the pixels that the Laplacians are summed in.
+
+    Returns
+    -------
+    ndarray of shape (canvas.rows / step, canvas.cols / step, 4), float32
+        The Laplacian image.
     """
     flat = [each for levels in passes for each in levels if len(each.of(group))]
     drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
@@ -41,14 +46,24 @@ def splat_laplacian(
     offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
     for_bands(_splat_kernels.point_offsets, len(table.offset_rc), table.offset_rc, canvas.cols, offsets)
     window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches.max(initial=0)))
-    rows = image.reshape(canvas.rows, pitch)
+    image = np.empty((canvas.rows // step, pitch // step), np.float32)
 
     def draw(begin: int, end: int) -> None:
-        scratch = np.empty((2, BAND_ROWS + 3, pitch), np.float32)
+        scratch = np.empty((3, BAND_ROWS + step + 3, pitch), np.float32)
         points = offsets, table.rows, table.lanes
-        _splat_kernels.splat_levels(begin, end, rows, drawn, *points, window, BAND_ROWS, scratch)
+        _splat_kernels.splat_levels(begin, end, image, drawn, *points, window, step, BAND_ROWS, scratch)
 
     for_bands(draw, -(-canvas.rows // BAND_ROWS))
+    return image.reshape(len(image), -1, 4)
+
+
+def add_to_canvas(image: Image, canvas: Canvas, placed: Image, own: Canvas, step: int) -> None:
+    """Add an image of pixels of side ``step`` that lies on a canvas of its own, within that of the other, in place."""
+    rows, top, left = placed.reshape(len(placed), -1), own.top - canvas.top, own.left - canvas.left
+    if step == 1:
+        for_bands(_resample_kernels.add_placed, len(image), rows, top, left, image.reshape(len(image), -1))
+    else:
+        for_bands(_resample_kernels.add_enlarged, len(image), rows, top, left, step, image.reshape(len(image), -1))
 
 
 def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: PointTable) -> None:
