@@ -9,12 +9,11 @@ blocks are exact; a highlight has a large deviation and keeps its own place.
 Blocks are drawn at their first pixels into an image of their own, and the sum over the block's area is taken once, for
 all blocks together, by adding moved copies of that image.
 
-A wider PSF hides more: its layer need not have full resolution at all. Blocks of s x s pixels are merged whatever they
-show, and drawn, integrated and interpolated as pixels of that side. All of it together blurs the result by some s / 2.
-That changes it most where an edge of the scene lies along the rim of the PSF. A disc of radius r beyond a straight edge
-of contrast 1 adds ``4/3 (2 r)^(1/2) d^(3/2) / (pi r^2)`` at depth d; blurred by a Gaussian of deviation s / 2, that is at
-most ``0.09 (s / r)^(3/2)`` where it begins. In units of the display, whose slope is less the brighter it is, an edge of
-contrast 1 counts less than half.
+What is smooth need not have full resolution at all: PSFs that are wide enough are drawn into, integrated in, and
+interpolated from pixels of side s. That blurs the result by some s / 2. It changes it most where an edge of the scene
+lies along the rim of the PSF. A disc of radius r beyond a straight edge of contrast 1 adds
+``4/3 (2 r)^(1/2) d^(3/2) / (pi r^2)`` at depth d; blurred by a Gaussian of deviation s / 2, that is
+``0.09 (s / r)^(3/2)`` where it begins.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _merge_kernels
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
-
-EDGE_ERROR = 0.04
-"""Change of the displayed image by an edge along the rim of a disc whose radius is the side of the coarse pixels."""
+EDGE_ERROR = 0.2
+"""Change of the displayed image by an edge along the rim of a disc as wide as a coarse pixel: the 0.09 above, times the
+display's slope in shadows, from which such a rim rises."""
 
 
 def coarse_error(variation: npt.NDArray[np.float32], side: npt.NDArray[np.int64] | int) -> npt.NDArray[np.float64]:
@@ -52,7 +51,7 @@ def coarse_error(variation: npt.NDArray[np.float32], side: npt.NDArray[np.int64]
 
 
 def merge_blocks(
-    frame: SplatPass, variation: npt.NDArray[np.float32], side: npt.NDArray[np.int64], tolerance: float
+    frame: SplatPass, variation: npt.NDArray[np.float32], tolerance: float
 ) -> tuple[list[SplatPass], float]:
     """Split a pass into blocks that can be drawn as one, and the pixels left.
 
@@ -62,8 +61,6 @@ def merge_blocks(
         Labelled pixels with stride 1; its labels are changed in place.
     variation : ndarray of shape (n_labels,), float32
         Total variation of each label's PSF, infinite where pixels must not be merged.
-    side : ndarray of shape (n_labels,), int64
-        Side, px, of the pixels that each label's PSFs are drawn in: blocks of up to this side are merged in any case.
     tolerance : float
         Largest change of the displayed image, as a share of its range, that a merged block may cause.
 
@@ -89,7 +86,7 @@ def merge_blocks(
         radiance = np.empty((height, width, 4), np.float32)
         label = np.empty((height, width), np.int32)
         worst = np.zeros(height, np.float32)
-        factor = np.where(side >= stride, np.float32(0.0), variation * np.float32((stride - 1) / 4))
+        factor = (variation * np.float32((stride - 1) / 4)).astype(np.float32)
         limits = factor, share
         for_bands(_merge_kernels.merge_blocks, height, finer.radiance, finer.label, *limits, radiance, label, worst)
         bound += float(worst.max())

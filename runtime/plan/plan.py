@@ -309,12 +309,11 @@ def _lay_out(
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     own = highlights.splats(pixel_sets, members, table, len(chosen.variants), wide)
-    side = np.append(STRIDES, 1)[table.group]
-    variation, sides = (np.tile(each, n_layers) for each in (chosen.variation, side))
-    merged = [merge_blocks(each, variation, sides, tolerance) for each in splats]
+    variation = np.tile(chosen.variation, n_layers)
+    merged = [merge_blocks(each, variation, tolerance) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
-    bounds = [bound for _, bound in merged] + [float(coarse_error(chosen.variation, side).max(initial=0.0))]
-    return sources, max(bounds)
+    by_coarse_pixels = coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group])
+    return sources, max([float(by_coarse_pixels.max(initial=0.0)), *(bound for _, bound in merged)])
 
 
 def _variant_keys(

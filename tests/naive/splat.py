@@ -2,15 +2,17 @@
 
 import numpy as np
 
+from spreadlets.runtime.splat.passes import GROUPS
+
 
 def splat_naive(canvas, sources, group, table):
     """Draw one group of passes, of single pixels or blocks, as `runtime.splat` does, into an empty canvas."""
     image = np.zeros((canvas.rows, canvas.cols, 4))
-    layer, direct = divmod(group, 2)
+    layer, kind = divmod(group, GROUPS)
     for source in sources:
         for row, col in np.argwhere(source.label >= 0):
             of_layer, variant = divmod(int(source.label[row, col]), table.n_variants)
-            if of_layer != layer or table.direct[variant] != direct:
+            if of_layer != layer or table.group[variant] != kind:
                 continue
             points = slice(table.point_start[variant], table.point_start[variant + 1])
             shift = source.shift[row, col] if len(source.shift) else 0
