@@ -94,11 +94,9 @@ def add_enlarged(begin, end, coarse, top, left, step, image):
             before, (a, b, c, d) = _cubic((phase + 0.5) / step - 0.5)
             for i in range(n):
                 at, to = _U(4 * (i + before + 3)), _U(4 * (left + step * i + phase))
-                near = add(
-                    multiply((b, b, b, b), load(line, at + _U(4))), multiply((c, c, c, c), load(line, at + _U(8)))
-                )
-                far = add(multiply((a, a, a, a), load(line, at)), multiply((d, d, d, d), load(line, at + _U(12))))
-                store(target, to, add(load(target, to), add(near, far)))
+                p, q = multiply((a, a, a, a), load(line, at)), multiply((b, b, b, b), load(line, at + _U(4)))
+                r, s = multiply((c, c, c, c), load(line, at + _U(8))), multiply((d, d, d, d), load(line, at + _U(12)))
+                store(target, to, add(load(target, to), add(add(q, r), add(p, s))))
 
 
 @kernel

@@ -20,7 +20,7 @@ STRIDES = (1, 2, 4)
 """Sides of the blocks, px, that can be drawn as one; and of the pixels of the images that Laplacians are drawn into."""
 DIRECT = len(STRIDES)
 GROUPS = DIRECT + 1
-"""What is drawn of a layer: sparse variants by the side of their pixels, in the order of `STRIDES`; then direct ones."""
+"""What is drawn of a layer, in groups: sparse variants by the side of their pixels, as `STRIDES`; then direct ones."""
 
 
 class Spans(NamedTuple):
@@ -75,7 +75,7 @@ class PointTable:
     @cached_property
     def direct(self) -> npt.NDArray[np.bool_]:
         """Whether each variant's points are the PSF itself."""
-        return self.group == DIRECT
+        return np.asarray(self.group == DIRECT)
 
     @property
     def n_points(self) -> npt.NDArray[np.int64]:
