@@ -15,9 +15,9 @@ import numpy.typing as npt
 from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
-from spreadlets.psf.model import PsfGrid
+from spreadlets.psf.model import EXTENT_SHARES, PsfGrid
 from spreadlets.remembered import Remembered
-from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
+from spreadlets.runtime.label.labels import HEADINGS, NO_SHIFT, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
@@ -25,7 +25,7 @@ from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
-from spreadlets.runtime.plan._plan_kernels import GridTables, PoseLabels, Sizes
+from spreadlets.runtime.plan._plan_kernels import GridTables, PixelPlaces, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_colours, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
@@ -176,6 +176,7 @@ def plan_pixels(
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
     layering: Layering | None = None,
+    shared: bool = True,
 ) -> Plan:
     """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
 
@@ -198,13 +199,16 @@ def plan_pixels(
         What makes the PSFs of highlights; None to draw them as all others.
     layering : Layering, optional
         The depth layers, where they are known; by default they are found in what is drawn.
+    shared : bool
+        Whether neighbours share out the cells about their coordinate, see `spreadlets.psf.model.PsfGrid.shares`; a
+        filter, which does not add them up, would show it.
 
     Notes
     -----
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     # Choose the variants, and read their cells.
-    chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic)
+    chosen = _choose(pixel_sets, database, dense_psf, exact_psf, stochastic=stochastic, shared=shared)
     # Assign the pixels to depth layers.
     if layering is None:
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
@@ -245,10 +249,12 @@ def _choose(
     exact_psf: ExactPsf | None,
     *,
     stochastic: bool,
+    shared: bool,
 ) -> _Choice:
     """Choose the PSF of each pixel, and read just those that are in use."""
     # Find the cell, the pose and the scale of each pixel: its variant.
-    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
+    found = [_variant_keys(each, database.grid, database.cell_start, shared=shared) for each in pixel_sets]
+    keys, excess = zip(*found, strict=True)
     n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
     _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
     # Number the variants in use.
@@ -313,7 +319,7 @@ def _lay_out(
 
 
 def _variant_keys(
-    pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
+    pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64], *, shared: bool = True
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
     labels, model = pixels.labels, grid.model
@@ -327,9 +333,12 @@ def _variant_keys(
     sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent)
     heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
     pose = PoseLabels(heading, labels.coc, model.symmetry.codes)
-    tables = GridTables(grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start)
+    shape = np.array(grid.shape, np.int64)
+    tables = GridTables(grid.remap, shape, grid.nested.unit_cell, grid.nested.bounds, cell_start)
+    listed = labels.view.places
+    places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at, shared)
     colour = pixels.radiance, pixels.weight
-    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, tables, sizes, key, excess)
+    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, places, tables, sizes, key, excess)
     return key, excess
 
 

@@ -46,6 +46,25 @@ COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
 
+FINEST_MOTION_PX = 1.6
+"""Length of the path, px, over which what is still is averaged in a grid of many cells. More cells then divide the CoC:
+the radius of a rim shows more than the ends of a path. At random coordinates the PSFs of 400 cells have a similarity of
+.935 to the exact ones, those of 1000 with equal units .955, and with these .967, for a fifth less time to build."""
+
+FINEST_ECCENTRICITY_MM = 0.19
+"""The same for the distance from a lens's axis. At random coordinates, PSFs of 128 cells of a double Gauss have a
+similarity of .74, those of 754 with equal units .85, those of 800 with these .90."""
+
+UNIT_TOLERANCE = 1e-9
+"""Share of a unit that is rounding."""
+
+EXTENT_SHARES = {"coc": 1.0, "depth": 1.0, "motion": 0.5}
+"""How much of the coordinate on an axis adds to the extent of the PSF, px."""
+
+SHARED_EXTENT_PX = 8.0
+"""Extent of a PSF from which neighbours share out the cells about their coordinate: cells are then so wide that an area
+of like pixels would have a wrong radius, and PSFs so wide that they hide what the neighbours differ by."""
+
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""
 
@@ -79,6 +98,9 @@ class Axis:
         Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
     scales : bool
         Whether the PSF beyond the maximum is the one at the maximum, magnified; if not, it is that one as it is.
+    finest : float
+        Width of the first unit of a grid below which a finer one would bring little; 0 for no such width. Where there
+        are cells to spend, they divide the other axes.
     """
 
     name: str
@@ -87,6 +109,7 @@ class Axis:
     power: float
     floor: float = 0.0
     scales: bool = True
+    finest: float = 0.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf and 0.0 <= self.floor < self.maximum):
@@ -99,6 +122,14 @@ class Axis:
     def first(self) -> float:
         """The floor on the power-remapped axis, in [0, 1)."""
         return float((self.floor / self.maximum) ** (1.0 / self.power))
+
+    @property
+    def most_units(self) -> int | None:
+        """Units of a grid at which the first is as narrow as makes sense; None if there is no such number."""
+        if not self.finest:
+            return None
+        end = min((self.floor + self.finest) / self.maximum, 1.0) ** (1.0 / self.power)
+        return math.ceil((1.0 - self.first) / (end - self.first) - UNIT_TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -208,7 +239,10 @@ def _simplelens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) 
 
 def _combined(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens with straight motion; its length is that of the path over the shutter."""
-    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)), Axis("motion", "px", max_motion, 1.0))
+    axes = (
+        Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),
+        Axis("motion", "px", max_motion, 1.0, finest=FINEST_MOTION_PX),
+    )
     return PsfModel("combined", axes, 1, True, 400, _stored_symmetry(settings), settings)
 
 
@@ -226,9 +260,10 @@ def _volume(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> P
 
 def _physicallens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Real glass; depth is told by the circle of confusion that a thin lens would have."""
+    eccentricity = settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM)
     axes = (
         Axis("depth", "px of CoC", max_coc, 2.5, _coc_floor(max_coc)),
-        Axis("eccentricity", "mm", settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM), 1.2, scales=False),
+        Axis("eccentricity", "mm", eccentricity, 1.2, scales=False, finest=FINEST_ECCENTRICITY_MM),
     )
     symmetry = PoseSymmetry("azimuth", arrow=True, sign="stored")
     return PsfModel("physicallens", axes, 3, True, 4000, symmetry, settings)
@@ -314,8 +349,12 @@ class PsfGrid:
 
     @classmethod
     def of(cls, model: PsfModel, n_cells: int | None = None) -> "PsfGrid":
-        """Return the nearly cubic grid of ``n_cells`` cells, by default as many as the model asks for."""
-        return cls(model, nested_shape(model.default_cells if n_cells is None else n_cells, model.n_axes))
+        """Return the nearly cubic grid of ``n_cells`` cells, by default as many as the model asks for.
+
+        Axes whose units would become finer than makes sense have fewer.
+        """
+        count, most = model.default_cells if n_cells is None else n_cells, [axis.most_units for axis in model.axes]
+        return cls(model, nested_shape(count, model.n_axes, most))
 
     @cached_property
     def nested(self) -> NestedGrid:
@@ -412,6 +451,46 @@ class PsfGrid:
         units = grid_coordinates(flat, self.remap, shape)
         cells = cell_indices(units, shape, self.nested.level_offset)
         return np.asarray(cells.reshape(points.shape[:-1]), dtype=np.int64)
+
+    def shares(self, coordinate: npt.ArrayLike) -> dict[int, float]:
+        """Return the cells that pixels of a coordinate are drawn with, and the share of the pixels that takes each.
+
+        Axis by axis, a coordinate lies between the middles of its cell and of the next, in grid units. The nearer it
+        is to a middle the more pixels take that cell, so that their mean lies at the coordinate. Narrow PSFs are all
+        drawn with the one cell that they lie in.
+
+        Parameters
+        ----------
+        coordinate : array_like of shape (n_axes,)
+            Physical units, clamped to the model's range.
+        """
+        point = as_coordinates(coordinate, self.model.n_axes)
+        extent = sum(EXTENT_SHARES.get(axis.name, 0.0) * x for axis, x in zip(self.model.axes, point, strict=True))
+        if extent < SHARED_EXTENT_PX:
+            return {int(self.find(point)): 1.0}
+        shape = np.array(self.shape, dtype=np.int64)
+        places = [(1.0, grid_coordinates(point[None], self.remap, shape)[0])]
+        for axis in range(self.model.n_axes):
+            places = [part for place in places for part in self._divided(*place, axis)]
+        found: dict[int, float] = {}
+        for share, place in places:
+            cell = int(self.nested.index(place))
+            found[cell] = found.get(cell, 0.0) + share
+        return found
+
+    def _divided(
+        self, share: float, place: npt.NDArray[np.float64], axis: int
+    ) -> list[tuple[float, npt.NDArray[np.float64]]]:
+        """Divide a place in grid units, and its share, among the middles of the cells before and behind on an axis."""
+        low, high = self.nested.bounds[self.nested.index(place), axis]
+        own, other = place.copy(), place.copy()
+        own[axis] = 0.5 * (low + high)
+        other[axis] = high + 0.5 if place[axis] > own[axis] else low - 0.5
+        if not 0.0 < other[axis] < self.shape[axis]:
+            return [(share, own)]
+        other[axis] = self.nested.bounds[self.nested.index(other), axis].mean()
+        way = float((place[axis] - own[axis]) / (other[axis] - own[axis]))
+        return [(share * (1.0 - way), own), (share * way, other)]
 
     def box(self, cell: int) -> npt.NDArray[np.float64]:
         """Return the box of a cell, float64 of shape (n_axes, 2), physical units."""
