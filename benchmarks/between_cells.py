@@ -25,7 +25,7 @@ def figures_of(name: str) -> list[str]:
     with sp.open_database(name) as database:
         found = between_cells.between_cells(database.grid, database.cell)
     lines = []
-    for kind in ("highlight", "dim", "many"):
+    for kind in ("highlight", "dim"):
         row = found[kind]
         cells = [f"{row.get(key, np.nan):>14.4f}" for key in ("mean", "percentile_1", "mean_large")]
         cells += [f"{row.get(key, np.nan):>14.5f}" for key in ("radius_error", "centre_error_px")]
@@ -39,7 +39,7 @@ def traced_row(name: str, count: int) -> str:
         grid = database.grid
     places = between_cells.random_places(grid, count)
     scores = []
-    for made, coordinate, angle, side in zip(exact_psf(grid.model)(*places[:3]), *places[:3], strict=True):
+    for made, coordinate, angle, side in zip(exact_psf(grid.model)(*places), *places, strict=True):
         box = np.repeat(coordinate[:, None], 2, axis=1)
         traced = trace_psf(grid.model, box, angle=angle, side=int(side))
         scores.append(psf_similarity(*between_cells.on_one_window(traced, made.to_dense())))

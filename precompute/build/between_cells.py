@@ -1,8 +1,7 @@
 """How like the exact PSF is what is drawn, between the cells: the figures of a database at random coordinates.
 
 At a cell's middle a spreadlet is nearly the PSF. A pixel's coordinate lies anywhere in its cell, and there it is not:
-a dim pixel is drawn with the spreadlet of its cell, or of one beside it, a highlight with a PSF of nearly its own
-coordinate.
+for a dim pixel the spreadlet of its cell is drawn, for a highlight a PSF of nearly its own coordinate.
 """
 
 from __future__ import annotations
@@ -33,17 +32,12 @@ FindSpreadlet = Callable[[int, int], Spreadlet | None]
 """``(cell, pose) -> spreadlet``; None if it was left out."""
 
 
-Drawn = list[tuple[float, Spreadlet]]
-"""What is drawn at a coordinate: spreadlets and their shares; empty if one of them was left out."""
-
-
 class Places(NamedTuple):
-    """Random coordinates (n, n_axes), directions (n,) and sides (n,); thresholds (n,) that choose one of the cells."""
+    """Random coordinates (n, n_axes), directions (n,) and sides (n,)."""
 
     coordinate: DoubleArray
     angle: DoubleArray
     side: np.ndarray[Any, np.dtype[np.int64]]
-    threshold: DoubleArray
 
 
 def between_cells(grid: PsfGrid, find: FindSpreadlet, rays: int | None = None) -> dict[str, Any]:
@@ -60,22 +54,22 @@ def between_cells(grid: PsfGrid, find: FindSpreadlet, rays: int | None = None) -
     Returns
     -------
     dict
-        ``coordinates``, how many there were, evenly spread over the axes after their remapping; and for a
-        ``highlight``, a ``dim`` pixel, and what ``many`` dim pixels of a coordinate are drawn with in the mean, each
-        where it was drawn: ``mean`` similarity, ``percentile_1``, ``mean_large`` (CoC of 4 px and
+        ``coordinates``, how many there were, evenly spread over the axes after their remapping; and for ``highlight``
+        and ``dim``, each where it was drawn: ``mean`` similarity, ``percentile_1``, ``mean_large`` (CoC of 4 px and
         more), and of the large ones ``radius_error`` (relative) and ``centre_error_px`` of the rim, means of the
         sizes; fog has no rim.
     """
     exact = exact_psf(grid.model)
     places = random_places(grid, N_COORDINATES if exact else N_TRACED)
     truth = _exact_psfs(grid, places, rays)
-    many = [_of_cells(grid, find, *place) for place in zip(*places, strict=True)]
-    dim = [_one_of(parts, threshold) for parts, threshold in zip(many, places.threshold, strict=True)]
-    highlight = [[(1.0, psf)] for psf in exact(*rounded(*places[:3], grid.model))] if exact else dim
+    dim = [_of_cell(grid, find, *place) for place in zip(*places, strict=True)]
+    highlight = list(exact(*rounded(*places, grid.model))) if exact else dim
     large = places.coordinate[:, 0] >= (LARGE_COC_PX if exact else 0.0)
-    drawn = {"highlight": highlight, "dim": dim, "many": many}
-    figures = {name: _figures(truth, each, large, spike=not exact) for name, each in drawn.items()}
-    return {"coordinates": len(truth)} | figures
+    return {
+        "coordinates": len(truth),
+        "highlight": _figures(truth, highlight, large, spike=not exact),
+        "dim": _figures(truth, dim, large, spike=not exact),
+    }
 
 
 def random_places(grid: PsfGrid, count: int) -> Places:
@@ -86,60 +80,45 @@ def random_places(grid: PsfGrid, count: int) -> Places:
     side = np.where(rng.random(count) < 0.5, -1, 1).astype(np.int64)
     if grid.model.symmetry.sign == "ignored":
         side[:] = 1
-    return Places(grid.maximum * fraction**grid.power, angle, side, rng.random(count))
+    return Places(grid.maximum * fraction**grid.power, angle, side)
 
 
 def _exact_psfs(grid: PsfGrid, places: Places, rays: int | None) -> list[DoubleArray]:
     exact = exact_psf(grid.model)
     if exact is not None:
-        return [psf.to_dense() for psf in exact(*places[:3])]
+        return [psf.to_dense() for psf in exact(*places)]
 
     def traced(place: tuple[DoubleArray, float, int]) -> DoubleArray:
         coordinate, angle, side = place
         box = np.repeat(coordinate[:, None], 2, axis=1)
         return trace_psf(grid.model, box, angle=angle, side=side, rays=rays, seed=SEED)
 
-    return for_each(traced, zip(*places[:3], strict=True))
+    return for_each(traced, zip(*places, strict=True))
 
 
-def _of_cells(grid: PsfGrid, find: FindSpreadlet, coordinate: DoubleArray, angle: float, side: int, _: float) -> Drawn:
-    """Return the spreadlets that pixels are drawn with, turned as they are drawn."""
-    drawn = []
-    for cell, share in grid.shares(coordinate).items():
-        pose, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, side < 0)
-        spreadlet = find(cell, int(pose))
-        if spreadlet is None:
-            return []
-        flips = {"flip_row": bool(flip_row), "flip_col": bool(flip_col)}
-        drawn.append((share, spreadlet.transformed(transpose=bool(transpose), **flips)))
-    return drawn
-
-
-def _one_of(drawn: Drawn, threshold: float) -> Drawn:
-    """Choose one of some spreadlets by a threshold in [0, 1), as often as its share is."""
-    ends = np.cumsum([share for share, _ in drawn])
-    return [(1.0, drawn[int(np.searchsorted(ends[:-1], threshold, side="right"))][1])] if drawn else []
-
-
-def _mean(drawn: Drawn) -> DoubleArray:
-    """Return the mean of what is drawn."""
-    psfs = on_one_window(*(spreadlet.to_dense() for _, spreadlet in drawn))
-    return np.asarray(sum(share * psf for (share, _), psf in zip(drawn, psfs, strict=True)))
+def _of_cell(grid: PsfGrid, find: FindSpreadlet, coordinate: DoubleArray, angle: float, side: int) -> Spreadlet | None:
+    """Return the spreadlet that a pixel is drawn with, turned as it is drawn."""
+    cell = int(grid.find(coordinate))
+    pose, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, side < 0)
+    spreadlet = find(cell, int(pose))
+    if spreadlet is None:
+        return None
+    return spreadlet.transformed(transpose=bool(transpose), flip_row=bool(flip_row), flip_col=bool(flip_col))
 
 
 def _figures(
     truth: Sequence[DoubleArray],
-    drawn: Sequence[Drawn],
+    drawn: Sequence[Spreadlet | None],
     large: np.ndarray[Any, np.dtype[np.bool_]],
     *,
     spike: bool,
 ) -> dict[str, float]:
     """Return the figures of what is drawn; without a spike, next to which nothing else would count, if there is one."""
 
-    def compared(pair: tuple[DoubleArray, Drawn]) -> tuple[float, float, float]:
-        if not pair[1]:
+    def compared(pair: tuple[DoubleArray, Spreadlet | None]) -> tuple[float, float, float]:
+        if pair[1] is None:
             return np.nan, np.nan, np.nan
-        exact, made = on_one_window(pair[0], _mean(pair[1]))
+        exact, made = on_one_window(pair[0], pair[1].to_dense())
         if spike:
             exact, made = _without_spike(exact), _without_spike(made)
         (radius, *centre), (other, *other_centre) = rim(exact), rim(made)

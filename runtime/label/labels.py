@@ -163,6 +163,10 @@ EFFECTS: dict[str, tuple[Callable[[Labels], FloatArray], tuple[str, ...]]] = {
 """What a frame may ask for: its extent in px, and the axes of which one must be there to do it."""
 
 
+EXTENT_SHARES = {"coc": 1.0, "depth": 1.0, "motion": 0.5}
+"""How much of a coordinate adds to the extent of the PSF."""
+
+
 def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:
     """Return the coordinates (H, W) of each pixel on the axes of a model's parameter space; signs have no meaning."""
     return tuple(COORDINATES[axis.name](labels) for axis in model.axes)

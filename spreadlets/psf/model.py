@@ -58,13 +58,6 @@ similarity of .74, those of 754 with equal units .85, those of 800 with these .9
 UNIT_TOLERANCE = 1e-9
 """Share of a unit that is rounding."""
 
-EXTENT_SHARES = {"coc": 1.0, "depth": 1.0, "motion": 0.5}
-"""How much of the coordinate on an axis adds to the extent of the PSF, px."""
-
-SHARED_EXTENT_PX = 8.0
-"""Extent of a PSF from which neighbours share out the cells about their coordinate: cells are then so wide that an area
-of like pixels would have a wrong radius, and PSFs so wide that they hide what the neighbours differ by."""
-
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""
 
@@ -128,7 +121,7 @@ class Axis:
         """Units of a grid at which the first is as narrow as makes sense; None if there is no such number."""
         if not self.finest:
             return None
-        end = min((self.floor + self.finest) / self.maximum, 1.0) ** (1.0 / self.power)
+        end = float(min((self.floor + self.finest) / self.maximum, 1.0)) ** (1.0 / self.power)
         return math.ceil((1.0 - self.first) / (end - self.first) - UNIT_TOLERANCE)
 
 
@@ -451,46 +444,6 @@ class PsfGrid:
         units = grid_coordinates(flat, self.remap, shape)
         cells = cell_indices(units, shape, self.nested.level_offset)
         return np.asarray(cells.reshape(points.shape[:-1]), dtype=np.int64)
-
-    def shares(self, coordinate: npt.ArrayLike) -> dict[int, float]:
-        """Return the cells that pixels of a coordinate are drawn with, and the share of the pixels that takes each.
-
-        Axis by axis, a coordinate lies between the middles of its cell and of the next, in grid units. The nearer it
-        is to a middle the more pixels take that cell, so that their mean lies at the coordinate. Narrow PSFs are all
-        drawn with the one cell that they lie in.
-
-        Parameters
-        ----------
-        coordinate : array_like of shape (n_axes,)
-            Physical units, clamped to the model's range.
-        """
-        point = as_coordinates(coordinate, self.model.n_axes)
-        extent = sum(EXTENT_SHARES.get(axis.name, 0.0) * x for axis, x in zip(self.model.axes, point, strict=True))
-        if extent < SHARED_EXTENT_PX:
-            return {int(self.find(point)): 1.0}
-        shape = np.array(self.shape, dtype=np.int64)
-        places = [(1.0, grid_coordinates(point[None], self.remap, shape)[0])]
-        for axis in range(self.model.n_axes):
-            places = [part for place in places for part in self._divided(*place, axis)]
-        found: dict[int, float] = {}
-        for share, place in places:
-            cell = int(self.nested.index(place))
-            found[cell] = found.get(cell, 0.0) + share
-        return found
-
-    def _divided(
-        self, share: float, place: npt.NDArray[np.float64], axis: int
-    ) -> list[tuple[float, npt.NDArray[np.float64]]]:
-        """Divide a place in grid units, and its share, among the middles of the cells before and behind on an axis."""
-        low, high = self.nested.bounds[self.nested.index(place), axis]
-        own, other = place.copy(), place.copy()
-        own[axis] = 0.5 * (low + high)
-        other[axis] = high + 0.5 if place[axis] > own[axis] else low - 0.5
-        if not 0.0 < other[axis] < self.shape[axis]:
-            return [(share, own)]
-        other[axis] = self.nested.bounds[self.nested.index(other), axis].mean()
-        way = float((place[axis] - own[axis]) / (other[axis] - own[axis]))
-        return [(share * (1.0 - way), own), (share * way, other)]
 
     def box(self, cell: int) -> npt.NDArray[np.float64]:
         """Return the box of a cell, float64 of shape (n_axes, 2), physical units."""

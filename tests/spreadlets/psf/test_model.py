@@ -114,7 +114,7 @@ def test_directions_keep_the_tip_within_half_a_step(step_px):
 
 
 def test_short_motion_needs_one_direction():
-    grid = PsfGrid.of(get_model("combined", max_motion=40.0), 900)
+    grid = PsfGrid(get_model("combined", max_motion=40.0), (60, 60))
     assert grid.box(0)[1, 1] < 1.0
     assert grid.angles(0).tolist() == [0.0]
     assert grid.angle_half_width(0) == 0.0
