@@ -184,7 +184,7 @@ def nested_shape(n_cells: int, n_axes: int, most: Sequence[int | None] | None = 
     Examples
     --------
     >>> nested_shape(400, 2), nested_shape(1000, 2, (None, 80))
-    ((77, 75), (264, 80))
+    ((77, 75), (260, 80))
     """
     if n_cells < 1 or n_axes < 1:
         raise InvalidParameterError(f"n_cells and n_axes must be at least 1, not {n_cells} and {n_axes}")

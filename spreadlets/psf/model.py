@@ -121,7 +121,7 @@ class Axis:
         """Units of a grid at which the first is as narrow as makes sense; None if there is no such number."""
         if not self.finest:
             return None
-        end = float(min((self.floor + self.finest) / self.maximum, 1.0)) ** (1.0 / self.power)
+        end = float(min((self.floor + self.finest) / self.maximum, 1.0) ** (1.0 / self.power))
         return math.ceil((1.0 - self.first) / (end - self.first) - UNIT_TOLERANCE)
 
 
