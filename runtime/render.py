@@ -429,7 +429,7 @@ def _filtered(
             (pixels,) = label(layer.straight(), middle)
             # A filter has no place to move light to.
             unmoved = pixels._replace(labels=pixels.labels._replace(shift=None))
-            plan = plan_pixels([unmoved], database, options, 1, border=False, dense_psf=dense_psf)
+            plan = plan_pixels([unmoved], database, options, 1, border=False, dense_psf=dense_psf, shared=False)
         with clock.step("splat"):
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)

@@ -163,8 +163,8 @@ EFFECTS: dict[str, tuple[Callable[[Labels], FloatArray], tuple[str, ...]]] = {
 """What a frame may ask for: its extent in px, and the axes of which one must be there to do it."""
 
 
-EXTENT_SHARES = {"coc": 1.0, "motion": 0.5}
-"""How much of a coordinate adds to the extent of the PSF, for models whose PSFs have no other extent."""
+EXTENT_SHARES = {"coc": 1.0, "depth": 1.0, "motion": 0.5}
+"""How much of a coordinate adds to the extent of the PSF."""
 
 
 def coordinates(labels: Labels, model: PsfModel) -> tuple[FloatArray, ...]:

@@ -13,15 +13,41 @@ from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 INVISIBLE = -1
 SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
+WHITE = 1.0
+"""Radiance above which a display shows no more. What is brighter has a steep rim, where a wrong radius shows."""
+WIDE_EXTENT = 8.0
+"""Extent of a PSF, px, above which a cell's is off by a pixel, and blocks of pixels are hidden under it."""
+BLOCK_BITS = 2
+"""Binary logarithm of the side of those blocks, px: as large as those that can be drawn as one."""
+PHASES = ((3679390609, 3152041523), (2700274806, 2313257605))
+"""Multiples of a block's row and column, in units of 2 to the power of -32, whose fraction is its threshold on each
+axis: powers of 1 / 1.1673. Blocks beside one another have thresholds spread evenly over [0, 1) on both axes together
+(Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")."""
+PHASE_MASK = (1 << 32) - 1
 
 
 class GridTables(NamedTuple):
-    """The grid of a database: ``remap``, ``shape`` and ``unit_cell`` of the model's; ``cell_start`` of the file."""
+    """The grid of a database.
+
+    ``remap``, ``shape`` and ``unit_cell`` are the model's, ``bounds`` (n_cells, n_axes, 2) its cells' boxes in units;
+    ``cell_start`` is the file's.
+    """
 
     remap: npt.NDArray[np.float64]
     shape: npt.NDArray[np.int64]
     unit_cell: npt.NDArray[np.int64]
+    bounds: npt.NDArray[np.float64]
     cell_start: npt.NDArray[np.int64]
+
+
+class PixelPlaces(NamedTuple):
+    """Where pixels lie: row and column of the frame's first, counted from the picture's centre; those of a list.
+
+    The latter, of shape (H, W, 2), int32, are counted from the frame's first pixel, and empty for all of a frame.
+    """
+
+    corner: tuple[int, int]
+    at: npt.NDArray[np.int32]
 
 
 class Sizes(NamedTuple):
@@ -75,6 +101,66 @@ def _same(coordinate, heading, coc, row, col):
     )
 
 
+@helper(inline="always")
+def _extent(coordinate, row, col, grid, sizes):
+    """Return the extent of a pixel's PSF, px, and how many times it exceeds the range."""
+    extent, factor = 0.0, 0.0
+    for axis in range(len(coordinate)):
+        size = abs(np.float64(coordinate[axis][row, col]))
+        extent += sizes.share[axis] * size
+        if sizes.scaling[axis]:
+            factor = max(factor, size / grid.remap[axis, 0])
+    return extent, factor
+
+
+@helper(inline="always")
+def _place(coordinate, row, col, shrink, grid, sizes, unit):
+    """Fill ``unit`` (n_axes,), float64, with a pixel's place in the grid, its PSF made smaller by a factor."""
+    for axis in range(len(coordinate)):
+        size = abs(np.float64(coordinate[axis][row, col])) * (shrink if sizes.scaling[axis] else 1.0)
+        unit[axis] = grid_coordinate(size, grid.remap[axis], grid.shape[axis])
+
+
+@helper(inline="always")
+def _cell(unit, grid):
+    """Return the cell of a place in the grid."""
+    index = 0
+    for axis in range(len(unit)):
+        index = index * grid.shape[axis] + min(int(unit[axis]), grid.shape[axis] - 1)
+    return grid.unit_cell[index]
+
+
+@helper(inline="always")
+def _key(cell, step, pose, row, col, grid):
+    """Return the key of a cell's PSF in the pixel's direction, larger by some steps."""
+    n_poses = grid.cell_start[cell + 1] - grid.cell_start[cell]
+    angle = math.atan2(pose.heading[row, col, 1], pose.heading[row, col, 0]) if n_poses > 1 else 0.0
+    number, transpose, flip_row, flip_col = fold_pose(angle, pose.coc[row, col] < 0.0, n_poses, pose.codes)
+    orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
+    return 1 + 8 * (step * grid.cell_start[-1] + grid.cell_start[cell] + number) + orientation
+
+
+@helper
+def _shared_cell(unit, row, col, grid):
+    """Return the cell that a block takes of those about a place in the grid, which is overwritten.
+
+    Axis by axis, the place lies between the middles of its cell and of the next. The block takes the next if its
+    threshold is below the share of the way: so the mean of many blocks lies at the place.
+    """
+    for axis in range(len(unit)):
+        low, high = grid.bounds[_cell(unit, grid), axis]
+        place, middle = unit[axis], 0.5 * (low + high)
+        unit[axis] = middle
+        if high < grid.shape[axis] if place > middle else low > 0.0:
+            unit[axis] = high + 0.5 if place > middle else low - 0.5
+            low, high = grid.bounds[_cell(unit, grid), axis]
+            other = 0.5 * (low + high)
+            down, across = PHASES[axis]
+            threshold = ((row * down + col * across) & PHASE_MASK) / (PHASE_MASK + 1.0)
+            unit[axis] = other if threshold < (place - middle) / (other - middle) else middle
+    return _cell(unit, grid)
+
+
 @kernel
 def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess):
     """Map the labels of each pixel to the key of its variant.
@@ -96,8 +182,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
     """
     radiance, weight = colour
     heading, coc = pose.heading, pose.coc
-    n_axes = len(grid.remap)
-    n_spreadlets = grid.cell_start[-1]
+    unit = np.empty(len(grid.remap))
     for row in range(begin, end):
         excess[row] = 0.0
         for col in range(radiance.shape[1]):
@@ -109,13 +194,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
             if col > 0 and key[row, col - 1] >= 0 and excess[row, 1] == 0 and _same(coordinate, heading, coc, row, col):
                 key[row, col] = key[row, col - 1]
                 continue
-            extent = 0.0
-            factor = 0.0
-            for axis in range(n_axes):
-                size = abs(np.float64(coordinate[axis][row, col]))
-                extent += sizes.share[axis] * size
-                if sizes.scaling[axis]:
-                    factor = max(factor, size / grid.remap[axis, 0])
+            extent, factor = _extent(coordinate, row, col, grid, sizes)
             if extent <= sizes.sharp_extent:
                 key[row, col] = SHARP
                 continue
@@ -127,17 +206,41 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
                 excess[row, 0] = max(excess[row, 0], factor)
                 excess[row, 1] += 1
                 excess[row, 2] = max(excess[row, 2], step)
-            unit = 0
-            for axis in range(n_axes):
-                size = abs(np.float64(coordinate[axis][row, col])) * (shrink if sizes.scaling[axis] else 1.0)
-                place = int(grid_coordinate(size, grid.remap[axis], grid.shape[axis]))
-                unit = unit * grid.shape[axis] + min(place, grid.shape[axis] - 1)
-            cell = grid.unit_cell[unit]
-            n_poses = grid.cell_start[cell + 1] - grid.cell_start[cell]
-            angle = math.atan2(heading[row, col, 1], heading[row, col, 0]) if n_poses > 1 else 0.0
-            number, transpose, flip_row, flip_col = fold_pose(angle, coc[row, col] < 0.0, n_poses, pose.codes)
-            orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
-            key[row, col] = 1 + 8 * (step * n_spreadlets + grid.cell_start[cell] + number) + orientation
+            _place(coordinate, row, col, shrink, grid, sizes, unit)
+            key[row, col] = _key(_cell(unit, grid), step, pose, row, col, grid)
+
+
+@kernel
+def share_out(begin, end, radiance, coordinate, pose, places, grid, sizes, apart, key):
+    """Let blocks of bright pixels under wide PSFs share out the cells about their coordinate.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+    coordinate, pose, grid, sizes
+        See `variant_keys`.
+    places : PixelPlaces
+    apart : ndarray of shape (H, W), int32
+        Not negative where a pixel keeps its key.
+    key : ndarray of shape (H, W), int64
+        Changed in place.
+    """
+    unit = np.empty(len(grid.remap))
+    for row in range(begin, end):
+        for col in range(radiance.shape[1]):
+            r, g, b = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2]
+            if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= WHITE:
+                continue
+            extent, factor = _extent(coordinate, row, col, grid, sizes)
+            if extent < WIDE_EXTENT:
+                continue
+            y, x = row, col
+            if len(places.at):
+                y, x = np.int64(places.at[row, col, 0]), np.int64(places.at[row, col, 1])
+            step = _scale_step(factor, sizes.steps_per_octave, sizes.n_steps)
+            _place(coordinate, row, col, 2.0 ** (-step / sizes.steps_per_octave), grid, sizes, unit)
+            block = (y + places.corner[0]) >> BLOCK_BITS, (x + places.corner[1]) >> BLOCK_BITS
+            key[row, col] = _key(_shared_cell(unit, block[0], block[1], grid), step, pose, row, col, grid)
 
 
 @kernel

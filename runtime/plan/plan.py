@@ -17,7 +17,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.remembered import Remembered
-from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, Labels, coordinates, ignored_effects
+from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, NO_SHIFT, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
@@ -25,7 +25,7 @@ from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
-from spreadlets.runtime.plan._plan_kernels import GridTables, PoseLabels, Sizes
+from spreadlets.runtime.plan._plan_kernels import GridTables, PixelPlaces, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_colours, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
@@ -160,7 +160,10 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
             pixel_sets = surface_pixels(frame_surfaces(layer, camera, effects, split_surfaces), camera, effects)
         for pixels in pixel_sets:
             key, _ = _variant_keys(pixels, grid, cell_start)
-            variants = [_decode(int(each), cell_start) for each in np.unique(key[key >= 0])]
+            # Whether a bright pixel is a highlight is not known yet: it may need either.
+            nowhere = np.full(key.shape, -1, np.int32)
+            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key, nowhere))
+            variants = [_decode(int(each), cell_start) for each in found[found >= 0]]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
 
@@ -176,6 +179,7 @@ def plan_pixels(
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
     layering: Layering | None = None,
+    shared: bool = True,
 ) -> Plan:
     """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
 
@@ -198,6 +202,9 @@ def plan_pixels(
         What makes the PSFs of highlights; None to draw them as all others.
     layering : Layering, optional
         The depth layers, where they are known; by default they are found in what is drawn.
+    shared : bool
+        Whether bright pixels share out the cells about their coordinate, see `runtime.plan._plan_kernels.share_out`; a
+        filter, which does not add them up, would show it.
 
     Notes
     -----
@@ -205,7 +212,7 @@ def plan_pixels(
     """
     # Choose the variants, and read their cells.
     tolerance = 0.0 if dense_psf else options.tolerance
-    chosen = _choose(pixel_sets, database, tolerance, dense_psf, exact_psf, stochastic=stochastic)
+    chosen = _choose(pixel_sets, database, tolerance, dense_psf, exact_psf, stochastic=stochastic, shared=shared)
     # Assign the pixels to depth layers.
     if layering is None:
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
@@ -247,20 +254,25 @@ def _choose(
     exact_psf: ExactPsf | None,
     *,
     stochastic: bool,
+    shared: bool,
 ) -> _Choice:
     """Choose the PSF of each pixel, and read just those that are in use."""
     # Find the cell, the pose and the scale of each pixel: its variant.
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
     n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
     _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
+    # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    if shared:
+        sets = zip(pixel_sets, keys, highlights.number, strict=True)
+        keys = tuple(_shared_keys(each, database.grid, database.cell_start, key, own) for each, key, own in sets)
     # Number the variants in use.
     used, place = _used_keys(keys)
     indices = [np.empty(key.shape, np.int32) for key in keys]
     for key, index in zip(keys, indices, strict=True):
         for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
     variants = [_decode(int(each), database.cell_start) for each in used]
-    # Give highlights PSFs of their own, and collect the points of all.
-    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    # Collect the points of all.
     parts = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
     table, spike_of = _point_table(points, spikes, database.n_channels)
@@ -320,21 +332,59 @@ def _variant_keys(
     pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
-    labels, model = pixels.labels, grid.model
-    coordinate = _coordinates(labels, grid)
-    key = np.empty(labels.coc.shape, np.int64)
+    key = np.empty(pixels.labels.coc.shape, np.int64)
     excess = np.empty((len(key), 3), np.float64)
-    scaling = np.array([axis.scales for axis in model.axes])
-    share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
-    # Where more than lens and motion blurs, no PSF stays within its pixel.
-    sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
-    sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent)
-    heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
-    pose = PoseLabels(heading, labels.coc, model.symmetry.codes)
-    tables = GridTables(grid.remap, np.array(grid.shape, np.int64), grid.nested.unit_cell, cell_start)
+    given = _Given.of(pixels.labels, _coordinates(pixels.labels, grid), grid, cell_start)
     colour = pixels.radiance, pixels.weight
-    for_bands(_plan_kernels.variant_keys, len(key), colour, coordinate, pose, tables, sizes, key, excess)
+    asked = given.coordinate, given.pose, given.tables, given.sizes
+    for_bands(_plan_kernels.variant_keys, len(key), colour, *asked, key, excess)
     return key, excess
+
+
+def _shared_keys(
+    pixels: Pixels,
+    grid: PsfGrid,
+    cell_start: npt.NDArray[np.int64],
+    key: npt.NDArray[np.int64],
+    apart: npt.NDArray[np.int32],
+) -> npt.NDArray[np.int64]:
+    """Return keys after blocks of bright pixels have shared out the cells about their coordinate: see the kernel."""
+    labels, shared = pixels.labels, key.copy()
+    given = _Given.of(labels, coordinates(labels, grid.model), grid, cell_start)
+    listed = labels.view.places
+    places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at)
+    asked = given.coordinate, given.pose, places, given.tables, given.sizes
+    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, *asked, apart, shared)
+    return shared
+
+
+class _Given(NamedTuple):
+    """What the kernels find the variants of pixels from: see there."""
+
+    coordinate: tuple[npt.NDArray[np.float32], ...]
+    pose: PoseLabels
+    tables: GridTables
+    sizes: Sizes
+
+    @classmethod
+    def of(
+        cls,
+        labels: Labels,
+        coordinate: tuple[npt.NDArray[np.float32], ...],
+        grid: PsfGrid,
+        cell_start: npt.NDArray[np.int64],
+    ) -> _Given:
+        """Collect it for pixels of some labels and coordinates."""
+        model, nested = grid.model, grid.nested
+        scaling = np.array([axis.scales for axis in model.axes])
+        share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
+        # Where more than lens and motion blurs, no PSF stays within its pixel.
+        sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
+        sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent)
+        heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
+        pose = PoseLabels(heading, labels.coc, model.symmetry.codes)
+        shape = np.array(grid.shape, np.int64)
+        return cls(coordinate, pose, GridTables(grid.remap, shape, nested.unit_cell, nested.bounds, cell_start), sizes)
 
 
 def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32], ...]:

@@ -11,6 +11,7 @@ Everything here is in grid units; `spreadlets.psf.model.PsfGrid` adds the physic
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -83,7 +84,7 @@ class NestedGrid:
     @property
     def n_cells(self) -> int:
         """Number of cells."""
-        return len(self._boxes)
+        return len(self.bounds)
 
     @cached_property
     def level_offset(self) -> npt.NDArray[np.int64]:
@@ -96,8 +97,9 @@ class NestedGrid:
         return self.index(np.moveaxis(np.indices(self.shape), 0, -1) + 0.5).ravel()
 
     @cached_property
-    def _boxes(self) -> npt.NDArray[np.float64]:
-        """Place the boxes level by level, row-major, until the space is full."""
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """Every cell's box, as of `boxes`, for the kernels; not to be changed."""
+        # Place the boxes level by level, row-major, until the space is full.
         boxes = []
         for level in range(len(self.level_offset)):
             start = level_start(level)
@@ -116,7 +118,7 @@ class NestedGrid:
             Lower and upper border per axis, grid units. A box owns its lower borders; its upper ones only where
             they are the border of the space.
         """
-        return self._boxes.copy()
+        return self.bounds.copy()
 
     def index(self, coordinate: npt.ArrayLike) -> npt.NDArray[np.int64]:
         """Find the cells that hold the given coordinates, in O(1) each.
@@ -155,7 +157,7 @@ def as_coordinates(coordinate: npt.ArrayLike, n_axes: int) -> npt.NDArray[np.flo
     return points
 
 
-def nested_shape(n_cells: int, n_axes: int) -> tuple[int, ...]:
+def nested_shape(n_cells: int, n_axes: int, most: Sequence[int | None] | None = None) -> tuple[int, ...]:
     """Return the nearly cubic shape whose nested grid has ``n_cells`` cells, or else the most cells below that.
 
     Parameters
@@ -164,34 +166,51 @@ def nested_shape(n_cells: int, n_axes: int) -> tuple[int, ...]:
         At least 1.
     n_axes : int
         At least 1.
+    most : sequence of (int or None), optional
+        Largest side on each axis, None for no limit; then the other sides are longer than a cube's. One at least must
+        have no limit.
 
     Returns
     -------
     tuple of int
-        Sides in falling order, differing by at most `MAX_SIDE_DIFFERENCE`. Among equals the most cubic shape, then
-        the one of largest volume, because its last cells are clipped least.
+        Sides that differ by at most `MAX_SIDE_DIFFERENCE` before they are limited, in falling order. Among equals the
+        most cubic shape, then the one of largest volume, because its last cells are clipped least.
 
     Raises
     ------
     InvalidParameterError
-        If an argument is below 1.
+        If an argument is below 1, or every side is limited.
+
+    Examples
+    --------
+    >>> nested_shape(400, 2), nested_shape(1000, 2, (None, 80))
+    ((77, 75), (260, 80))
     """
     if n_cells < 1 or n_axes < 1:
         raise InvalidParameterError(f"n_cells and n_axes must be at least 1, not {n_cells} and {n_axes}")
+    limits = [math.inf if limit is None else limit for limit in most or (None,) * n_axes]
+    if math.inf not in limits:
+        raise InvalidParameterError(f"one side at least must have no limit, not {most}")
+
+    def limited(sides: Sequence[int]) -> tuple[int, ...]:
+        return tuple(int(min(side, limit)) for side, limit in zip(sides, limits, strict=True))
+
+    def count(sides: Sequence[int]) -> int:
+        return sum(_level_sizes(limited(sides)))
+
     side = 1
-    while sum(_level_sizes((2 * side,) * n_axes)) <= n_cells:
+    while count((2 * side,) * n_axes) <= n_cells:
         side *= 2
     # The count never falls as a side grows: bisect for the largest cube that fits.
     step = side
     while step:
-        if sum(_level_sizes((side + step,) * n_axes)) <= n_cells:
+        if count((side + step,) * n_axes) <= n_cells:
             side += step
         step //= 2
     best = ((1, 0, 1), (1,) * n_axes)
     for smallest in range(max(1, side - MAX_SIDE_DIFFERENCE), side + 1):
-        sides = range(smallest, smallest + MAX_SIDE_DIFFERENCE + 1)
-        for rising in itertools.combinations_with_replacement(sides, n_axes):
-            count = sum(_level_sizes(rising))
-            if count <= n_cells:
-                best = max(best, ((count, rising[0] - rising[-1], math.prod(rising)), rising[::-1]))
-    return best[1]
+        longer = range(smallest, smallest + MAX_SIDE_DIFFERENCE + 1)
+        for rising in itertools.combinations_with_replacement(longer, n_axes):
+            if count(rising[::-1]) <= n_cells:
+                best = max(best, ((count(rising[::-1]), rising[0] - rising[-1], math.prod(rising)), rising[::-1]))
+    return limited(best[1])

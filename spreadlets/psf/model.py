@@ -46,6 +46,18 @@ COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
 
+FINEST_MOTION_PX = 1.6
+"""Length of the path, px, over which what is still is averaged in a grid of many cells. More cells then divide the CoC:
+the radius of a rim shows more than the ends of a path. At random coordinates the PSFs of 400 cells have a similarity of
+.935 to the exact ones, those of 1000 with equal units .955, and with these .967, for a fifth less time to build."""
+
+FINEST_ECCENTRICITY_MM = 0.19
+"""The same for the distance from a lens's axis. At random coordinates, PSFs of 128 cells of a double Gauss have a
+similarity of .74, those of 754 with equal units .85, those of 800 with these .90."""
+
+UNIT_TOLERANCE = 1e-9
+"""Share of a unit that is rounding."""
+
 OCTANT = math.pi / 4.0
 """The lattice's symmetry maps every direction into [0, pi/4], radians."""
 
@@ -79,6 +91,9 @@ class Axis:
         Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
     scales : bool
         Whether the PSF beyond the maximum is the one at the maximum, magnified; if not, it is that one as it is.
+    finest : float
+        Width of the first unit of a grid below which a finer one would bring little; 0 for no such width. Where there
+        are cells to spend, they divide the other axes.
     """
 
     name: str
@@ -87,6 +102,7 @@ class Axis:
     power: float
     floor: float = 0.0
     scales: bool = True
+    finest: float = 0.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.maximum < math.inf and 0.0 < self.power < math.inf and 0.0 <= self.floor < self.maximum):
@@ -99,6 +115,14 @@ class Axis:
     def first(self) -> float:
         """The floor on the power-remapped axis, in [0, 1)."""
         return float((self.floor / self.maximum) ** (1.0 / self.power))
+
+    @property
+    def most_units(self) -> int | None:
+        """Units of a grid at which the first is as narrow as makes sense; None if there is no such number."""
+        if not self.finest:
+            return None
+        end = float(min((self.floor + self.finest) / self.maximum, 1.0) ** (1.0 / self.power))
+        return math.ceil((1.0 - self.first) / (end - self.first) - UNIT_TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -208,7 +232,10 @@ def _simplelens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) 
 
 def _combined(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens with straight motion; its length is that of the path over the shutter."""
-    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)), Axis("motion", "px", max_motion, 1.0))
+    axes = (
+        Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),
+        Axis("motion", "px", max_motion, 1.0, finest=FINEST_MOTION_PX),
+    )
     return PsfModel("combined", axes, 1, True, 400, _stored_symmetry(settings), settings)
 
 
@@ -226,9 +253,10 @@ def _volume(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> P
 
 def _physicallens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Real glass; depth is told by the circle of confusion that a thin lens would have."""
+    eccentricity = settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM)
     axes = (
         Axis("depth", "px of CoC", max_coc, 2.5, _coc_floor(max_coc)),
-        Axis("eccentricity", "mm", settings.get("max_eccentricity_mm", DEFAULT_MAX_ECCENTRICITY_MM), 1.2, scales=False),
+        Axis("eccentricity", "mm", eccentricity, 1.2, scales=False, finest=FINEST_ECCENTRICITY_MM),
     )
     symmetry = PoseSymmetry("azimuth", arrow=True, sign="stored")
     return PsfModel("physicallens", axes, 3, True, 4000, symmetry, settings)
@@ -314,8 +342,12 @@ class PsfGrid:
 
     @classmethod
     def of(cls, model: PsfModel, n_cells: int | None = None) -> "PsfGrid":
-        """Return the nearly cubic grid of ``n_cells`` cells, by default as many as the model asks for."""
-        return cls(model, nested_shape(model.default_cells if n_cells is None else n_cells, model.n_axes))
+        """Return the nearly cubic grid of ``n_cells`` cells, by default as many as the model asks for.
+
+        Axes whose units would become finer than makes sense have fewer.
+        """
+        count, most = model.default_cells if n_cells is None else n_cells, [axis.most_units for axis in model.axes]
+        return cls(model, nested_shape(count, model.n_axes, most))
 
     @cached_property
     def nested(self) -> NestedGrid:

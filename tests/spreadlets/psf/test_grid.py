@@ -113,6 +113,24 @@ def test_nested_shape_is_the_best_near_cube(n_cells, n_axes):
         assert not count < NestedGrid(other).n_cells <= n_cells
 
 
+@pytest.mark.parametrize("n_cells, most", [(1000, (None, 80)), (60, (None, 5)), (400, (30, None)), (400, (None, 500))])
+def test_a_side_that_is_limited_leaves_its_cells_to_the_others(n_cells, most):
+    shape = nested_shape(n_cells, 2, most)
+    count = NestedGrid(shape).n_cells
+    free, limited = (most.index(None), 1 - most.index(None))
+    assert shape[limited] <= most[limited] and 0.98 * n_cells <= count <= n_cells
+    if shape[limited] == most[limited]:
+        longer = tuple(side + (axis == free) for axis, side in enumerate(shape))
+        assert shape[free] > shape[limited] and NestedGrid(longer).n_cells > n_cells
+    else:
+        assert shape == nested_shape(n_cells, 2)
+
+
+def test_a_shape_of_limited_sides_only_is_refused():
+    with pytest.raises(InvalidParameterError, match=r"no limit, not \(9, 9\)"):
+        nested_shape(28, 2, (9, 9))
+
+
 def test_nested_shape_of_one_axis_is_triangular():
     assert nested_shape(100, 1) == (100 * 101 // 2,)
 

@@ -59,6 +59,21 @@ def test_default_grid_has_the_default_number_of_cells(name):
     assert PsfGrid.of(model, 28).n_cells <= 28
 
 
+@pytest.mark.parametrize(("power", "floor", "finest"), [(1.0, 0.0, 1.6), (1.2, 0.0, 0.7), (2.0, 1.0, 0.3)])
+def test_the_most_units_have_a_first_one_of_the_finest_width(power, floor, finest):
+    axis = Axis("s", "px", 50.0, power, floor, finest=finest)
+    model = PsfModel("any", (axis,), 1, False, 10)
+    wide, narrow = (PsfGrid(model, (axis.most_units + more,)).box(0)[0, 1] - floor for more in (-1, 0))
+    assert narrow <= finest * (1 + 1e-9) < wide
+    assert Axis("s", "px", 50.0, power, floor).most_units is None
+
+
+def test_many_cells_of_combined_divide_the_coc_more_finely_than_still_motion():
+    few, many = (PsfGrid.of(get_model("combined"), count) for count in (400, 1000))
+    assert few.box(0)[1, 1] == pytest.approx(1.7, abs=0.05) and many.box(0)[1, 1] == pytest.approx(1.6)
+    assert many.n_cells == 1000 and many.shape[0] > 3 * many.shape[1]
+
+
 @pytest.mark.parametrize("name", ["simplelens", "combined"])
 def test_find_inverts_coordinate(name):
     grid = PsfGrid.of(get_model(name))
@@ -114,7 +129,7 @@ def test_directions_keep_the_tip_within_half_a_step(step_px):
 
 
 def test_short_motion_needs_one_direction():
-    grid = PsfGrid.of(get_model("combined", max_motion=40.0), 900)
+    grid = PsfGrid(get_model("combined", max_motion=40.0), (60, 60))
     assert grid.box(0)[1, 1] < 1.0
     assert grid.angles(0).tolist() == [0.0]
     assert grid.angle_half_width(0) == 0.0
