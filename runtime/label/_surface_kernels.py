@@ -26,12 +26,14 @@ TRUST_DEPTH = 0.02
 """Deviation of a coverage that filtered depth tells."""
 LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
 """Deviation of a surface's colour: at least so much, and so much of itself."""
-LAMP_RATIO = 4.0
-"""How many times as bright as usual a surface's pixel may be before it is taken to show something else."""
+LOG_LAMP_RATIO = math.log(4.0)
+"""Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else."""
 SAME_SURFACE = 1.0
 """Difference of places, px, below which a pixel is taken to show the surface of another: that of a gap."""
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
+OUTSHINING = 0.5
+"""Brightness, above a pixel's own, of which the few percent that the rim of a filter shows are seen."""
 TILE = 8
 """Side, px, of the tiles of pixels that are looked at only if a surface ends in them or beside: more than any reach."""
 
@@ -216,45 +218,46 @@ def _edge_share(place, row, col, low, high, which, number):
 
 
 @helper
-def _add_colours(radiance, weights, row, col, which, count, sums):
-    """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns.
+def _add_colours(radiance, weights, row, col, which, count, counts, sums):
+    """Sum over the pixels of each surface near a pixel; see `_colour_models` for the columns. Overwrites ``counts``.
 
     Next to a lamp, the lamp's light in a surface's pixels may be far more than their own. So those that are many times
     brighter than the geometric mean of the surface's pixels count little.
     """
     purity, power, log_light = weights
     height, width = purity.shape
-    middle = len(which) // 2
-    sums[:] = 0.0
-    for part in range(2):
-        for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
-            for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
-                s = which[i - row + middle, j - col + middle]
-                if s < 0:
-                    continue
-                # Weight a pixel of the surface by nearness and purity.
-                near = COLOUR_WEIGHT[i - row + COLOUR_REACH, j - col + COLOUR_REACH]
-                weight = near * power[i, j]
-                # First sum: the geometric mean of brightness.
-                if part == 0:
-                    sums[s, 11] += weight
-                    sums[s, 12] += weight * log_light[i, j]
-                    continue
-                # Second sum: moments of colour, in which pixels much brighter than usual, by now the last column,
-                # count little.
-                excess = _brightness(radiance[i, j]) / sums[s, 12] - 1.0
-                if excess > 0.0:
-                    weight /= 1.0 + excess**2
-                sums[s, 0] += weight
-                sums[s, 1] += near
-                sums[s, 2] += weight * purity[i, j]
-                for c in range(4):
-                    value = np.float64(radiance[i, j, c])
-                    sums[s, 3 + c] += weight * value
-                    sums[s, 7 + c] += weight * value * value
-        if part == 0:
-            for s in range(count):
-                sums[s, 12] = LAMP_RATIO * math.exp(sums[s, 12] / sums[s, 11])
+    top, left = row - COLOUR_REACH, col - COLOUR_REACH
+    for s in range(count):
+        for c in range(sums.shape[1]):
+            sums[s, c] = 0.0
+    # Weight the pixels of the surfaces by nearness and purity, and find the geometric means of brightness.
+    for i in range(max(-top, 0), min(height - top, len(which))):
+        for j in range(max(-left, 0), min(width - left, len(which))):
+            s = which[i, j]
+            if s >= 0:
+                weight = COLOUR_WEIGHT[i, j] * power[top + i, left + j]
+                counts[i, j] = weight
+                sums[s, 11] += weight
+                sums[s, 12] += weight * log_light[top + i, left + j]
+    for s in range(count):
+        sums[s, 12] = LOG_LAMP_RATIO + sums[s, 12] / sums[s, 11]
+    # Sum up moments of colour, in which pixels much brighter than that count little.
+    for i in range(max(-top, 0), min(height - top, len(which))):
+        for j in range(max(-left, 0), min(width - left, len(which))):
+            s = which[i, j]
+            if s < 0:
+                continue
+            total, weight = sums[s], counts[i, j]
+            if log_light[top + i, left + j] > total[12]:
+                excess = _brightness(radiance[top + i, left + j]) / math.exp(total[12]) - 1.0
+                weight /= 1.0 + max(excess, 0.0) ** 2
+            total[0] += weight
+            total[1] += COLOUR_WEIGHT[i, j]
+            total[2] += weight * purity[top + i, left + j]
+            for c in range(4):
+                value = np.float64(radiance[top + i, left + j, c])
+                total[3 + c] += weight * value
+                total[7 + c] += weight * value * value
 
 
 @helper
@@ -359,27 +362,43 @@ def _find_sources(purity, row, col, which, count, source, trust):
 
 
 @helper
-def _is_mixed(place, row, col, gap):
-    """Return whether the places around a pixel differ by the gap."""
+def _spread(place, row, col, reach):
+    """Return by how much the places around a pixel differ, without what is infinitely far."""
     height, width = place.shape
     low = high = place[row, col]
-    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
-        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for j in range(max(col - reach, 0), min(col + reach + 1, width)):
             each = place[i, j]
             if each < low:
                 low = each
             elif each > high and each != math.inf:
                 high = each
-    return high - low >= gap
+    return high - low
+
+
+@helper
+def _is_mixed(place, radiance, row, col, gap):
+    """Return whether a surface ends right beside a pixel; or near it, and something near outshines the pixel."""
+    if _spread(place, row, col, 1) >= gap:
+        return True
+    if _spread(place, row, col, REACH) < gap:
+        return False
+    limit = _brightness(radiance[row, col]) + OUTSHINING
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, len(place))):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, place.shape[1])):
+            if _brightness(radiance[i, j]) >= limit:
+                return True
+    return False
 
 
 @kernel
-def list_mixed(begin, end, place, gap, mixed, columns, counts):
+def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
     """List the pixels around which places differ by the gap: their columns, row by row.
 
     Parameters
     ----------
     place : ndarray of shape (H, W), float32
+    radiance : ndarray of shape (H, W, 4), float32
     gap : float
     mixed : ndarray of shape (h, w), bool
         The tiles in which there may be some.
@@ -393,7 +412,7 @@ def list_mixed(begin, end, place, gap, mixed, columns, counts):
         for across in range(mixed.shape[1]):
             if mixed[row // TILE, across]:
                 for col in range(across * TILE, min((across + 1) * TILE, place.shape[1])):
-                    if place[row, col] != math.inf and _is_mixed(place, row, col, gap):
+                    if place[row, col] != math.inf and _is_mixed(place, radiance, row, col, gap):
                         columns[row, count] = col
                         count += 1
         counts[row] = count
@@ -429,7 +448,7 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
     spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
     which = np.empty((2 * COLOUR_REACH + 1, 2 * COLOUR_REACH + 1), np.int8)
     sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
-    each, trust = np.empty(MOST), np.ones(MOST)
+    each, trust, counts = np.empty(MOST), np.ones(MOST), np.empty(which.shape)
     mixed = 0
     for row in range(begin, end):
         for number in range(listed[1][row], listed[1][row + 1]):
@@ -443,10 +462,10 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
             if count < 2:
                 continue
             # Guess their shares by the edge, or take those that a filtered depth told.
-            total = 0.0
             _number_surfaces(place, row, col, bounds, count, which)
-            for s in range(MOST):
-                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s) if s < count else 0.0
+            total, each[2] = 0.0, 0.0
+            for s in range(count):
+                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s)
                 total += each[s]
             for s in range(count):
                 each[s] /= total
@@ -456,7 +475,7 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
                 trust[1] = TRUST_DEPTH
             # Fit the shares to the pixel's colour.
-            _add_colours(radiance, weights, row, col, which, count, sums)
+            _add_colours(radiance, weights, row, col, which, count, counts, sums)
             _colour_models(count, sums, mean, variance)
             _fit_shares(radiance[row, col], mean, variance, trust, count, each)
             if each[0] == 1.0:

@@ -25,6 +25,10 @@ NO_SHIFT = np.zeros((0, 0, 2), np.int32)
 """The shift of pixels that are drawn where they are."""
 
 
+EVERYWHERE = np.zeros((0, 0, 2), np.int32)
+"""The places of all pixels of a frame."""
+
+
 class Places(NamedTuple):
     """Where the pixels of a list lie: row and column (h, w, 2), int32, in a frame of (H, W) pixels."""
 

@@ -96,7 +96,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     # List the pixels around which places differ.
     mixed, near = _tiles(place)
     columns, starts = np.empty(layer.shape, np.int32), np.zeros(height + 1, np.int64)
-    for_bands(_surface_kernels.list_mixed, height, place, LEAST_GAP, mixed, columns, starts[1:])
+    for_bands(_surface_kernels.list_mixed, height, place, layer.radiance, LEAST_GAP, mixed, columns, starts[1:])
     np.cumsum(starts, out=starts)
     # Divide them among the surfaces around them.
     weights = weigh_pixels(place, layer.radiance, near)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.label.labels import EVERYWHERE
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.pixels import Labelled
 from spreadlets.runtime.label.surfaces import Surface, take_features, with_features
@@ -33,8 +34,6 @@ FINENESS = 4.0
 """What lies hidden is looked up in cells of this share of the blur that reveals it: it shows nothing finer."""
 BLOCKS_AROUND = -(-(_behind_kernels.FARTHEST + _behind_kernels.AROUND) // _behind_kernels.BLOCK) + 2
 """So many blocks around those that are looked up may be compared: places are refined by a few cells."""
-NOWHERE = np.zeros((0, 0, 2), np.int32)
-"""Where all pixels of a frame lie."""
 COARSEST = 1
 """Cells are no larger than 2 to this power, px: of larger blocks too much is alike by chance."""
 
@@ -137,7 +136,7 @@ def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, D
     """Return what was seen; and of each layer sums, (n_layers, 3), and the reach in each tile, see the kernel."""
     labels = [pixels.labels for _, pixels in surfaces]
     passes, corner = [_pass_of(each, layering) for each in surfaces], labels[-1].view.corner
-    at = [NOWHERE if each.view.places is None else each.view.places.at for each in labels]
+    at = [EVERYWHERE if each.view.places is None else each.view.places.at for each in labels]
     cover = [np.empty_like(each.coc) for each in labels]
     tiles = tiling(surfaces[-1][0].shape, _behind_kernels.BLOCK, corner)
     sums = np.zeros((len(labels), layering.n_layers, 3))

@@ -10,11 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import BoolArray, DoubleArray, IntArray
-from spreadlets.runtime.label.labels import Labels
+from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
+from spreadlets.runtime.label.labels import EVERYWHERE, Labels
+from spreadlets.runtime.plan import _cut_kernels
 
-DISTANCES = (1, 2, 4, 8)
-"""Pixels so far apart, px, are taken to meet: at edges, across thin things, and where wide blurs overlap."""
 MEETING_PIXELS = 1 << 17
 """About so many pixels are looked at."""
 LEAST_GAIN = 0.002
@@ -22,8 +21,6 @@ LEAST_GAIN = 0.002
 SEAM_PRICE = 1.0
 """Harm, px, of a cut through a surface, for each pair of neighbours that it parts: each hides a little of the other."""
 
-NOWHERE = -2.0
-"""Step of a pixel that is not drawn: more than a step from all others."""
 PATH_RADIUS = 1.0 / math.sqrt(6.0)
 """Radius of the disc that, in the mean over both axes, has the variance of a path of length 1."""
 
@@ -71,70 +68,36 @@ def find_steps(
     lists : sequence of (labels, variant)
         Of lists of pixels, which meet the first frame's.
     """
-    sums, meetings = np.zeros((4, n_steps)), np.zeros(n_steps * n_steps)
-    seams = np.zeros(n_steps + 1)
+    sums, meetings, seams = np.zeros((4, n_steps)), np.zeros((n_steps, n_steps)), np.zeros(n_steps + 1)
     # Thin the rows of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
-    places = []
-    for labels, variant in frames:
-        rows = slice(None, None, stride)
-        position = _positions(labels, variant, rows, low, high, n_steps)
-        places.append(_steps(position))
-        sums += _sums(labels, rows, places[-1], n_steps)
-        # Count which steps meet along a row, and which borders part neighbours.
-        for distance in DISTANCES:
-            _add_meetings(places[-1][:, distance:], places[-1][:, :-distance], meetings)
-        _add_seams(position[:, 1:], position[:, :-1], seams)
+    steps, counted = (low, n_steps / (high - low)), (sums, meetings, seams)
+    # Count which steps meet along a row, and which borders part neighbours.
+    positions = [np.empty((-(-len(variant) // stride), variant.shape[1])) for _, variant in frames]
+    for (labels, variant), position in zip(frames, positions, strict=True):
+        _cut_kernels.count_steps(_planes(labels, variant), EVERYWHERE, stride, steps, position, *counted)
     # Count which steps meet between the passes.
-    for first, second in combinations(places, 2):
+    for first, second in combinations(positions, 2):
         _add_meetings(first, second, meetings)
     # Count which steps of a list meet those of the frame at the same pixel.
     for labels, variant in lists:
         assert labels.view.places is not None, "only lists have places"
-        at = labels.view.places.at
-        looked_at = at[..., 0] % stride == 0
-        step = _steps(_positions(labels, variant, looked_at, low, high, n_steps))
-        sums += _sums(labels, looked_at, step, n_steps)
-        _add_meetings(step, places[0][at[looked_at][:, 0] // stride, at[looked_at][:, 1]], meetings)
-    n_pairs = max(len(DISTANCES) * sums[0].sum(), 1.0)
+        _cut_kernels.count_steps(_planes(labels, variant), labels.view.places.at, stride, steps, positions[0], *counted)
+    n_pairs = max(len(_cut_kernels.DISTANCES) * sums[0].sum(), 1.0)
     coc, *path = sums[1:] / np.maximum(sums[0], 1.0)
-    return Steps(
-        sums[0] > 0, meetings.reshape(n_steps, n_steps) / n_pairs, seams / n_pairs, coc, np.stack(path, axis=1)
-    )
+    return Steps(sums[0] > 0, meetings / n_pairs, seams / n_pairs, coc, np.stack(path, axis=1))
 
 
-def _positions(
-    labels: Labels, variant: npt.NDArray[np.int32], chosen: slice | BoolArray, low: float, high: float, n_steps: int
-) -> DoubleArray:
-    """Return where pixels lie in steps of depth, `NOWHERE` if they are not drawn."""
-    position = (-1.0 / labels.view.depth[chosen].astype(np.float64) - low) * (n_steps / (high - low))
-    return np.where(variant[chosen] >= 0, np.clip(position, 0.0, n_steps - 0.5), NOWHERE)
+def _planes(labels: Labels, variant: npt.NDArray[np.int32]) -> tuple[Image, Image, Image, npt.NDArray[np.int32]]:
+    return labels.view.depth, labels.coc, labels.path, variant
 
 
-def _steps(position: DoubleArray) -> IntArray:
-    return np.where(position >= 0.0, position, -1.0).astype(np.int64)
-
-
-def _sums(labels: Labels, chosen: slice | BoolArray, step: IntArray, n_steps: int) -> DoubleArray:
-    """Return the numbers of pixels in each step, and the sums of their CoC radii and paths, (4, n_steps)."""
-    drawn = step >= 0
-    coc, path = labels.coc[chosen][drawn], labels.path[chosen][drawn]
-    return np.array([np.bincount(step[drawn], each, n_steps) for each in (None, coc, path[..., 0], path[..., 1])])
-
-
-def _add_meetings(first: IntArray, second: IntArray, meetings: DoubleArray) -> None:
-    """Add the pairs of steps of pixels that both are drawn."""
+def _add_meetings(first: DoubleArray, second: DoubleArray, meetings: DoubleArray) -> None:
+    """Add the pairs of steps of pixels that both are drawn, by their positions."""
     both = (first >= 0) & (second >= 0)
-    nearer, farther = np.minimum(first, second)[both], np.maximum(first, second)[both]
-    n_steps = math.isqrt(len(meetings))
-    meetings += np.bincount(nearer * n_steps + farther, minlength=len(meetings))
-
-
-def _add_seams(first: DoubleArray, second: DoubleArray, seams: DoubleArray) -> None:
-    """Add the pairs of neighbours less than a step apart to the borders between them."""
-    nearer, farther = np.minimum(first, second), np.maximum(first, second)
-    parted = (farther - nearer < 1.0) & (np.floor(farther) > np.floor(nearer))
-    seams += np.bincount(farther[parted].astype(np.int64), minlength=len(seams))
+    nearer, farther = (each(first, second)[both].astype(np.int64) for each in (np.minimum, np.maximum))
+    n_steps = len(meetings)
+    meetings += np.bincount(nearer * n_steps + farther, minlength=n_steps**2).reshape(meetings.shape)
 
 
 def best_cuts(steps: Steps, most_layers: int) -> DoubleArray:

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, hidden_pixels, labelled, surface_pixels
 from spreadlets.runtime.label.reprojection import reproject
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, Surface, split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, MOST_LAYERS
+from spreadlets.runtime.plan import _cut_kernels
 from spreadlets.runtime.plan.behind import find_behind
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.scene.camera import ThinLens
@@ -93,9 +95,8 @@ def divide_frames(
 
 def _drawn(pixels: Pixels) -> npt.NDArray[np.int32]:
     """Return 0 for the pixels that there are, -1 for all others."""
-    is_there = pixels.radiance.any(axis=2)
-    if len(pixels.weight):
-        is_there &= pixels.weight > 0.0
+    drawn = np.empty(pixels.radiance.shape[:2], np.int32)
+    for_bands(_cut_kernels.mark_drawn, len(drawn), pixels.radiance, pixels.weight, drawn)
     if pixels.curved is not None:
-        is_there |= pixels.curved
-    return np.where(is_there, np.int32(0), np.int32(-1))
+        drawn[pixels.curved] = 0
+    return drawn

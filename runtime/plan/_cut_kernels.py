@@ -1,0 +1,83 @@
+"""Compiled kernels that count what meets in a frame, and tell which pixels are drawn."""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+
+DISTANCES = (1, 2, 4, 8)
+"""Pixels so far apart, px, are taken to meet: at edges, across thin things, and where wide blurs overlap."""
+NOWHERE = -2.0
+"""Step of a pixel that is not drawn: more than a step from all others."""
+
+
+@helper
+def _meet(first, second, meetings):
+    """Count a meeting of two places, in steps, if both are drawn."""
+    if first >= 0.0 and second >= 0.0:
+        meetings[int(min(first, second)), int(max(first, second))] += 1.0
+
+
+@kernel
+def count_steps(labels, at, stride, steps, position, sums, meetings, seams):
+    """Find the steps of depth that pixels lie in, and count which of them meet.
+
+    Parameters
+    ----------
+    labels : tuple of ndarrays
+        ``depth``, ``coc`` (H, W), float32, ``path`` (H, W, 2), float32, and ``variant`` (H, W), int32.
+    at : ndarray of shape (H, W, 2) or (0, 0, 2), int32
+        Where the pixels of a list lie, which meet those of a frame; empty for the frame.
+    stride : int
+        Of the frame's rows, every so many-eth one is looked at.
+    steps : tuple of two floats
+        Where the first step begins in ``-1 / depth``, and steps for each of its unit.
+    position : ndarray of shape (h, W), float64
+        Where the frame's pixels lie, in steps, `NOWHERE` if they are not drawn; filled from the frame, read for a list.
+    sums : ndarray of shape (4, n), float64
+        Raised: of each step, the number of pixels, their CoC radii, and paths.
+    meetings : ndarray of shape (n, n), float64
+        Raised: numbers of pairs of pixels, (nearer, farther).
+    seams : ndarray of shape (n + 1,), float64
+        Raised: numbers of pairs of neighbours less than a step apart that each border of steps parts.
+    """
+    depth, coc, path, variant = labels
+    listed, last = at.shape[0] > 0, sums.shape[1] - 0.5
+    for row in range(0, depth.shape[0], 1 if listed else stride):
+        for col in range(depth.shape[1]):
+            if listed and at[row, col, 0] % stride:
+                continue
+            # Find the pixel's step.
+            here = NOWHERE
+            if variant[row, col] >= 0:
+                here = min(max((-1.0 / np.float64(depth[row, col]) - steps[0]) * steps[1], 0.0), last)
+                step = int(here)
+                sums[0, step] += 1.0
+                sums[1, step] += coc[row, col]
+                sums[2, step] += path[row, col, 0]
+                sums[3, step] += path[row, col, 1]
+            # Count what it meets: the frame's pixel at its place, or those before it in the row.
+            if listed:
+                _meet(here, position[at[row, col, 0] // stride, at[row, col, 1]], meetings)
+                continue
+            line = position[row // stride]
+            line[col] = here
+            for distance in DISTANCES:
+                if col >= distance:
+                    _meet(here, line[col - distance], meetings)
+            # Count the border that parts it from its neighbour.
+            if col > 0:
+                nearer, farther = min(here, line[col - 1]), max(here, line[col - 1])
+                if farther - nearer < 1.0 and math.floor(farther) > math.floor(nearer):
+                    seams[int(farther)] += 1.0
+
+
+@kernel
+def mark_drawn(begin, end, radiance, weight, drawn):
+    """Fill ``drawn`` (H, W), int32: 0 where colour (H, W, 4) and weight (H, W) or (0, 0) are not all 0, else -1."""
+    for row in range(begin, end):
+        for col in range(drawn.shape[1]):
+            pixel = radiance[row, col]
+            is_there = pixel[0] != 0.0 or pixel[1] != 0.0 or pixel[2] != 0.0 or pixel[3] != 0.0
+            drawn[row, col] = 0 if is_there and (not weight.shape[0] or weight[row, col] > 0.0) else -1
