@@ -87,7 +87,7 @@ def test_unpacked_wheel_works(archives, tmp_path):
         "with sp.open_database('combined') as database: print(sp.__file__, database.n_cells)"
     )
     place, n_cells = run(code, tmp_path).split()
-    assert Path(place).is_relative_to(tmp_path) and int(n_cells) == 400
+    assert Path(place).is_relative_to(tmp_path) and int(n_cells) == 1000
 
 
 def test_synthesis_needs_neither_unix_nor_optional_packages():
