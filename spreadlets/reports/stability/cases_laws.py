@@ -231,7 +231,7 @@ def shifted(lab: Lab, by: tuple[int, int]) -> float:
     SHIFTS,
     given="surfaces that move differently within an even frame, six layers; shifted by whole pixels",
     oracle="the image, shifted",
-    budget=0.1,
+    budget=0.12,
     limit=FILL_LIMIT,
 )
 def shifted_holes(lab: Lab, by: tuple[int, int]) -> float:
