@@ -152,30 +152,33 @@ def _surfaces_around(place, row, col, gap, spare, bounds):
 
 
 @helper
-def _number_surfaces(place, row, col, bounds, count, which):
+def _number_surfaces(place, row, col, bounds, which):
     """Fill ``which`` (n, n), int8, with the number of the surface that each pixel around one is of, -1 for others."""
     height, width = place.shape
     half = len(which) // 2
     for i in range(len(which)):
-        y = min(max(row + i - half, 0), height - 1)
+        line = place[min(max(row + i - half, 0), height - 1)]
         for j in range(len(which)):
-            each, found = place[y, min(max(col + j - half, 0), width - 1)], -1
-            for s in range(count):
-                if bounds[s, 0] <= each <= bounds[s, 1]:
-                    found = s
-            which[i, j] = found
+            each = line[min(max(col + j - half, 0), width - 1)]
+            # At an edge, branches would be guessed wrong.
+            first = int((bounds[0, 0] <= each) & (each <= bounds[0, 1]))
+            second = int((bounds[1, 0] <= each) & (each <= bounds[1, 1]))
+            third = int((bounds[2, 0] <= each) & (each <= bounds[2, 1]))
+            which[i, j] = first + 2 * second + 3 * third - 1
 
 
 @helper
 def _share_between(place, y, x, low, high):
     """Return the share of places from ``low`` to ``high`` at a point, by bilinear interpolation."""
     height, width = place.shape
-    i, j = math.floor(y), math.floor(x)
-    down, across = y - i, x - j
-    above, below = min(max(i, 0), height - 1), min(max(i + 1, 0), height - 1)
-    left, right = min(max(j, 0), width - 1), min(max(j + 1, 0), width - 1)
-    upper = (1.0 - across) * (low <= place[above, left] <= high) + across * (low <= place[above, right] <= high)
-    lower = (1.0 - across) * (low <= place[below, left] <= high) + across * (low <= place[below, right] <= high)
+    y, x = min(max(y, 0.0), height - 1.0), min(max(x, 0.0), width - 1.0)
+    above, left = int(y), int(x)
+    below, right = min(above + 1, height - 1), min(left + 1, width - 1)
+    down, across = y - above, x - left
+    one, other = place[above, left], place[above, right]
+    upper = (1.0 - across) * ((low <= one) & (one <= high)) + across * ((low <= other) & (other <= high))
+    one, other = place[below, left], place[below, right]
+    lower = (1.0 - across) * ((low <= one) & (one <= high)) + across * ((low <= other) & (other <= high))
     return upper + down * (lower - upper)
 
 
@@ -211,6 +214,8 @@ def _edge_share(place, row, col, low, high, which, number):
     total, share = 1.0, np.float64(low <= place[row, col] <= high)
     for step in range(1, LONGEST + 1):
         weight, ratio = weight * ratio, ratio * falloff * falloff
+        if weight < NEGLIGIBLE:
+            break
         total += 2.0 * weight
         for side in (-step, step):
             share += weight * _share_between(place, row + side * step_row, col + side * step_col, low, high)
@@ -462,7 +467,7 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
             if count < 2:
                 continue
             # Guess their shares by the edge, or take those that a filtered depth told.
-            _number_surfaces(place, row, col, bounds, count, which)
+            _number_surfaces(place, row, col, bounds, which)
             total, each[2] = 0.0, 0.0
             for s in range(count):
                 each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s)

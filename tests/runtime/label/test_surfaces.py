@@ -145,6 +145,17 @@ def test_a_bright_lamp_keeps_its_light_to_itself():
     assert far.max() < 0.2, "the plane behind has .03 and less of its own"
 
 
+def test_pixels_beside_those_of_an_edge_are_divided_only_where_something_outshines_them():
+    layer, truth = drawn(edge)
+    columns = np.arange(24) - np.argmax(layer.depth > 3.0, axis=1)[:, None]
+    bright = replace(layer, radiance=layer.radiance * np.where(truth > 0.5, 9.0, 0.1)[..., None].astype(np.float32))
+    distances = []
+    for each in (layer, bright):
+        (_, _, at), *_ = list(split_surfaces(each, CAMERA))[1:]
+        distances.append(np.abs(columns[tuple(at.reshape(-1, 2).T)] + 0.5).max())
+    assert distances[0] < distances[1]
+
+
 @pytest.mark.parametrize("shape", [edge, stick, dot])
 def test_an_element_with_filtered_depth_has_its_own_depth_up_to_its_rim(shape):
     layer, share = drawn(shape, filtered=True, alpha=True)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spreadlets.runtime.label.moving import Effects
+from spreadlets.runtime.plan import _behind_kernels
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -57,6 +58,24 @@ def test_a_pattern_goes_on_behind_a_post():
 def test_an_even_surface_stays_even():
     colours, share = hidden(post_before(np.full((SIZE, SIZE, 3), 0.4)))
     assert np.allclose(colours[share > 0], (0.4, 0.4, 0.4, 1.0), atol=0.005)
+
+
+def test_behind_a_wide_blur_it_is_looked_up_in_cells_of_several_pixels(monkeypatch):
+    rows, columns = np.indices((SIZE, 2 * SIZE))
+    behind = np.where((rows // 8 % 2)[..., None], (0.9, 0.8, 0.7), (0.1, 0.2, 0.3))
+    post = np.abs(columns - SIZE + 0.5) < 15
+    coc = np.where(post, -24.0, 9.0)
+    frame = Frame(np.where(post[..., None], 0.5, behind), 1.0 / (1.0 / 4.0 - coc / CAMERA.coc_scale(2 * SIZE)))
+    levels, find = [], _behind_kernels.find_behind
+    monkeypatch.setattr(_behind_kernels, "find_behind", lambda *given: levels.append(given[5]) or find(*given))
+    last = divide_frames(frame.layers, CAMERA, Effects(defocus=True, motion=True, swept=True)).pixel_sets[0][-1]
+    assert set(levels) == {1}
+    place = tuple(last.labels.view.places.at[last.weight > 0].T)
+    found = np.zeros(post.shape)
+    found[place] = last.weight[last.weight > 0]
+    assert found[12:-12, SIZE - 10 : SIZE + 10].mean() > 0.85
+    error = np.abs(last.radiance[last.weight > 0][:, :3] - behind[place]).max(axis=1)
+    assert np.median(error) < 0.02, "the stripes go on: cells lie within them"
 
 
 def test_shares_are_those_that_the_nearer_layer_hides():
