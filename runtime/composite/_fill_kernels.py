@@ -32,17 +32,17 @@ def _measure(weight, seen, kind):
 
 
 @kernel
-def count_unseen(begin, end, padded, top, left, seen, kind, least, shape):
-    """Count the pixels of which less than ``least`` was seen; arguments as for `add_layer`."""
-    count = 0
+def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
+    """Tell whether there are pixels of which less than ``least`` was seen; arguments as for `add_layer`."""
     rows, cols = padded.shape[:2]
     for row in range(begin, end):
         for col in range(shape[1]):
             i, j = row - top, col - left
             weight = padded[i, j, 3] if 0 <= i < rows and 0 <= j < cols else np.float32(0.0)
             share = seen[row, col] if seen.shape[0] else np.float32(1.0)
-            count += _measure(weight, share, kind) < least
-    return count
+            if _measure(weight, share, kind) < least:
+                return True
+    return False
 
 
 @helper

@@ -94,14 +94,33 @@ def take_hidden(variant, layer, farther, radiance, weight, at, number, beyond):
 
 
 @kernel
-def count_known(begin, end, known, number, nearer, beyond):
-    """Where a layer is known, ``known`` (H, W), uint64, count what nearer ones hide of it to what lies beyond."""
+def complete_cover(begin, end, known, number, nearer, beyond):
+    """Make shares of what `add_cover` has summed, within 0 and 1, in place.
+
+    Parameters
+    ----------
+    known : ndarray of shape (H, W), uint64
+        Bits of the layers in which each pixel is known: what nearer ones hide of it there counts to what lies beyond.
+    number, nearer, beyond
+        See `add_cover`.
+    """
     bit = np.uint64(1) << np.uint64(number)
+    zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(begin, end):
         for col in range(known.shape[1]):
+            hidden, left = nearer[row, col], one + beyond[row, col]
             if known[row, col] & bit:
-                beyond[row, col] += nearer[row, col]
-                nearer[row, col] = np.float32(0.0)
+                hidden, left = zero, left + hidden
+            nearer[row, col] = min(max(hidden, zero), one)
+            beyond[row, col] = min(max(left, zero), one)
+
+
+@kernel
+def divide_shares(begin, end, nearer, least, beyond):
+    """Divide ``beyond`` by the sum of both, or ``least`` if that is more, in place."""
+    for row in range(begin, end):
+        for col in range(beyond.shape[1]):
+            beyond[row, col] /= max(nearer[row, col] + beyond[row, col], least)
 
 
 @kernel

@@ -62,7 +62,7 @@ def add_layer(
     """
     bound = np.float32(least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
-    if not sum(for_bands(_fill_kernels.count_unseen, len(image), *sums, bound, shape)):
+    if not any(for_bands(_fill_kernels.is_unseen, len(image), *sums, bound, shape)):
         for_bands(_fill_kernels.add_layer, len(image), image, *sums)
         return
     odds = [_odd(corner, 0)]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
-from spreadlets.runtime.composite.sweep import sweep_blur
+from spreadlets.runtime.composite.sweep import enlarged, reduced_blur, reduction
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.layering import Membership
@@ -87,8 +87,8 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     moments : Moments
         Of the layer.
     """
+    # Sum what nearer layers cover, and take off what they and this one do.
     nearer, beyond = np.zeros((2, *cover.known.shape), np.float32)
-    beyond += 1.0
     for members, pixels in cover.seen:
         shares, places = (pixels.radiance, pixels.weight), pixels.labels.view.places
         if places is None:
@@ -99,10 +99,13 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
         assert pixels.labels.view.places is not None, "what is hidden is a list"
         at = pixels.labels.view.places.at
         _visibility_kernels.take_hidden(*members, pixels.radiance, pixels.weight, at, number, beyond)
-    for_bands(_visibility_kernels.count_known, len(beyond), cover.known, number, nearer, beyond)
+    for_bands(_visibility_kernels.complete_cover, len(beyond), cover.known, number, nearer, beyond)
+    # Blur both as the layer is, and divide.
     blur = moments.disc_radius(), moments.motion
-    nearer, beyond = (sweep_blur(np.clip(each, 0.0, 1.0), *blur) for each in (nearer, beyond))
-    return np.asarray(beyond / np.maximum(nearer + beyond, LEAST_REST), np.float32)
+    factor = reduction(*blur)
+    nearer, beyond = (reduced_blur(each, *blur, factor) for each in (nearer, beyond))
+    for_bands(_visibility_kernels.divide_shares, len(beyond), nearer, LEAST_REST, beyond)
+    return enlarged(beyond, cover.known.shape, factor)
 
 
 def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:

@@ -30,16 +30,31 @@ def sweep_blur(image: Image, radius: float, path: tuple[float, float]) -> Image:
     -------
     ndarray of shape (H, W), float32
     """
-    factor = 1 << max(0, math.floor(math.log2(max(radius, math.hypot(*path) / 2.0, 1.0) / FINEST_RADIUS)))
-    if factor > 1:
-        height, width = image.shape
-        small = np.empty((-(-height // factor), -(-width // factor)), np.float32)
-        for_bands(_sweep_kernels.shrink, len(small), image, factor, small)
-        small = _blurred(small, radius / factor, (path[0] / factor, path[1] / factor))
-        blurred = np.empty_like(image)
-        for_bands(_sweep_kernels.enlarge, height, small, factor, blurred)
-        return blurred
-    return _blurred(image, radius, path)
+    factor = reduction(radius, path)
+    return enlarged(reduced_blur(image, radius, path, factor), image.shape, factor)
+
+
+def reduction(radius: float, path: tuple[float, float]) -> int:
+    """Return the side, px, of the blocks whose means are blurred in place of pixels: a power of 2."""
+    return 1 << max(0, math.floor(math.log2(max(radius, math.hypot(*path) / 2.0, 1.0) / FINEST_RADIUS)))
+
+
+def reduced_blur(image: Image, radius: float, path: tuple[float, float], factor: int) -> Image:
+    """Return the blurred means of an image's blocks; arguments as for `sweep_blur` and from `reduction`."""
+    if factor == 1:
+        return _blurred(image, radius, path)
+    small = np.empty([-(-size // factor) for size in image.shape], np.float32)
+    for_bands(_sweep_kernels.shrink, len(small), image, factor, small)
+    return _blurred(small, radius / factor, (path[0] / factor, path[1] / factor))
+
+
+def enlarged(small: Image, shape: tuple[int, ...], factor: int) -> Image:
+    """Return the image of a shape whose blocks have these means, interpolated linearly."""
+    if factor == 1:
+        return small
+    image = np.empty(shape, np.float32)
+    for_bands(_sweep_kernels.enlarge, len(image), small, factor, image)
+    return image
 
 
 def _blurred(image: Image, radius: float, path: tuple[float, float]) -> Image:
