@@ -24,12 +24,12 @@ docs: $(VENV)/.installed-docs
 
 # The commands that regenerate the databases in psf_db/.
 databases: $(VENV)/.installed
-	$(BIN)/spreadlets build simplelens -o psf_db/simplelens.h5
+	$(BIN)/spreadlets build simplelens -o psf_db/simplelens.h5 --samples 400
 	$(BIN)/spreadlets build combined -o psf_db/combined.h5 --samples 1000
 	$(BIN)/spreadlets build volume -o psf_db/volume.h5 --width 512
-	$(BIN)/spreadlets build stylized -o psf_db/stylized.h5 --image docs/models/heart.png --colour-offset 0.06
+	$(BIN)/spreadlets build stylized -o psf_db/stylized.h5 --image docs/models/heart.png --colour-offset 0.06 --samples 300
 	$(BIN)/spreadlets build physicallens -o psf_db/physicallens.h5 --camera psf_db/physicallens.json --width 1024 \
-	    --max-coc 32 --samples 128
+	    --max-coc 32 --samples 500
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'

@@ -21,7 +21,7 @@ from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import PsfGrid, PsfModel
 
-ALGORITHM_VERSION = 4
+ALGORITHM_VERSION = 5
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 UNITS_PER_WORKER = 32

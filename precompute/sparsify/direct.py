@@ -10,8 +10,9 @@ import numpy.typing as npt
 from spreadlets.arrays import BoolArray, DoubleArray, IntArray
 from spreadlets.psf.spreadlet import Spreadlet
 
-DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 3e-2, 5e-2, 7e-2, 0.1, 0.15, 0.2)
-"""Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken."""
+DIRECT_THRESHOLDS = (1e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2)
+"""Fractions of the peak below which a direct spreadlet may leave out pixels; the best by price is taken. If it left out
+more of the faint pixels along its rim, a small disc would keep its size from one cell to the next, and then jump."""
 
 MAX_LEFT_OUT = 0.1
 """Share of a channel's light that those pixels may hold, save at the least fraction: an aberrated PSF has a bright

@@ -13,8 +13,6 @@ from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
 INVISIBLE = -1
 SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
-WHITE = 1.0
-"""Radiance above which a display shows no more. What is brighter has a steep rim, where a wrong radius shows."""
 WIDE_EXTENT = 8.0
 """Extent of a PSF, px, above which a cell's is off by a pixel, and blocks of pixels are hidden under it."""
 BLOCK_BITS = 2
@@ -211,12 +209,14 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
 
 
 @kernel
-def share_out(begin, end, radiance, coordinate, pose, places, grid, sizes, apart, key):
+def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes, apart, key):
     """Let blocks of bright pixels under wide PSFs share out the cells about their coordinate.
 
     Parameters
     ----------
     radiance : ndarray of shape (H, W, 4), float32
+    limit : float
+        Radiance above which a pixel is bright.
     coordinate, pose, grid, sizes
         See `variant_keys`.
     places : PixelPlaces
@@ -229,7 +229,7 @@ def share_out(begin, end, radiance, coordinate, pose, places, grid, sizes, apart
     for row in range(begin, end):
         for col in range(radiance.shape[1]):
             r, g, b = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2]
-            if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= WHITE:
+            if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= limit:
                 continue
             extent, factor = _extent(coordinate, row, col, grid, sizes)
             if extent < WIDE_EXTENT:

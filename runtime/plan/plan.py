@@ -44,6 +44,10 @@ N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
 SHARP_EXTENT = 0.5
 """A PSF that reaches no farther than half a pixel from the pixel's centre is the pixel itself, px."""
 NEVER_SHARP = -1.0
+WHITE = 1.0
+"""Radiance above which a display shows no more. What is brighter has a steep rim, where a wrong radius shows."""
+BRIGHT = 2.5
+"""How many times brighter than the mean of a frame a bright area is: an even texture is at most twice as bright."""
 WIDE_REACH = 8
 """Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
 it is the mean of many such errors that counts."""
@@ -162,7 +166,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
             key, _ = _variant_keys(pixels, grid, cell_start)
             # Whether a bright pixel is a highlight is not known yet: it may need either.
             nowhere = np.full(key.shape, -1, np.int32)
-            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key, nowhere))
+            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key, nowhere, _bright(pixels)))
             variants = [_decode(int(each), cell_start) for each in found[found >= 0]]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
@@ -265,7 +269,9 @@ def _choose(
     highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     if shared:
         sets = zip(pixel_sets, keys, highlights.number, strict=True)
-        keys = tuple(_shared_keys(each, database.grid, database.cell_start, key, own) for each, key, own in sets)
+        keys = tuple(
+            _shared_keys(each, database.grid, database.cell_start, key, own, _bright(each)) for each, key, own in sets
+        )
     # Number the variants in use.
     used, place = _used_keys(keys)
     indices = [np.empty(key.shape, np.int32) for key in keys]
@@ -347,6 +353,7 @@ def _shared_keys(
     cell_start: npt.NDArray[np.int64],
     key: npt.NDArray[np.int64],
     apart: npt.NDArray[np.int32],
+    limit: float,
 ) -> npt.NDArray[np.int64]:
     """Return keys after blocks of bright pixels have shared out the cells about their coordinate: see the kernel."""
     labels, shared = pixels.labels, key.copy()
@@ -354,8 +361,14 @@ def _shared_keys(
     listed = labels.view.places
     places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at)
     asked = given.coordinate, given.pose, places, given.tables, given.sizes
-    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, *asked, apart, shared)
+    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, apart, shared)
     return shared
+
+
+def _bright(pixels: Pixels) -> float:
+    """Return the radiance above which a pixel is bright: beyond white, and far above the mean of the frame."""
+    colours = pixels.radiance if pixels.frame is None else pixels.frame
+    return max(WHITE, BRIGHT * float(colours[..., :3].mean(dtype=np.float64)))
 
 
 class _Given(NamedTuple):

@@ -32,7 +32,7 @@ def keys_of(frame, database, apart=-1, pixels=None):
         (pixels,) = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
     given = pixels, database.grid, database.cell_start
     near = plan._variant_keys(*given)[0]
-    return near, plan._shared_keys(*given, near, np.full(near.shape, apart, np.int32))
+    return near, plan._shared_keys(*given, near, np.full(near.shape, apart, np.int32), 1.0)
 
 
 def middles_of(keys, database):
@@ -92,6 +92,7 @@ def test_highlights_and_what_a_filter_receives_have_their_nearest_cell(small_com
 
 def test_a_frame_needs_the_cells_that_it_shares_out(small_combined):
     frame, grid = even_frame(), small_combined.grid
+    frame.layers[0].radiance[24:, :, :3] = 0.05
     near, shared = keys_of(frame, small_combined)
     found = [plan._decode(int(key), small_combined.cell_start) for key in np.union1d(near, shared)]
     assert plan.needed_spreadlets(frame, CAMERA, grid) >= {(each.cell, each.pose) for each in found}
@@ -113,6 +114,6 @@ def rim_error(coc, database):
 def test_the_rim_of_a_wide_bright_area_lies_where_it_should(small_combined, monkeypatch):
     radii = 8.6, 9.0, 9.4, 9.9, 10.4
     shared = [rim_error(coc, small_combined) for coc in radii]
-    monkeypatch.setattr(plan, "_shared_keys", lambda pixels, grid, cell_start, key, apart: key)
+    monkeypatch.setattr(plan, "_shared_keys", lambda pixels, grid, cell_start, key, apart, limit: key)
     nearest = [rim_error(coc, small_combined) for coc in radii]
     assert max(shared) < 0.6 * max(nearest)
