@@ -63,7 +63,7 @@ FILTER_SLACK = 1024
 GZIP, SHUFFLE, FLETCHER32 = 1, 2, 3
 """HDF5's identifiers of filters that it has built in; others would be plug-ins, libraries that it loads from a path."""
 
-CHUNK_POINTS = 8192
+CHUNK_POINTS = 16384
 """Points that are compressed together: small enough to read a few cells, large enough to compress well."""
 WRITE_POINTS = 64 * CHUNK_POINTS
 """Points that are written at a time: bounds the memory of writing, whatever the size of the database."""
