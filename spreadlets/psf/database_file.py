@@ -49,7 +49,7 @@ MAX_VALUE = 1000.0
 MAX_TEXT_BYTES = 1 << 22
 MAX_ATTRIBUTE_BYTES = 1 << 20
 MAX_ATTRIBUTES = 32
-MAX_CHUNK_BYTES = 1 << 18
+MAX_CHUNK_BYTES = 1 << 19
 MAX_RANGE = 1e6
 """Limits that a file is held to before memory is taken for what it claims to hold: cells, spreadlets, points of all and
 of one spreadlet, an offset in px, the size of a value (those of a PSF's Laplacian are at most 4, and a fit's some times
