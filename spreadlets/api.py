@@ -159,7 +159,7 @@ def synthesize(
     ((48, 48, 4), 100)
     >>> image, report = sp.synthesize(frame, camera, "simplelens", report=True)
     >>> report.plan.cells_total, "motion" in report.plan.left_out
-    (100, True)
+    (400, True)
     """
     with Renderer(frame, database, hidden_from=hidden_from) as renderer:
         image, figures = renderer.render(camera, report=True, clock=clock, **options)
