@@ -71,5 +71,5 @@ def test_synthesis_from_depth_layers(tmp_path):
 def test_reconstruction_of_one_sample_a_pixel(tmp_path):
     samples, camera = SHIPPED / "fence_samples.exr", SHIPPED / "fence.json"
     report = run("reconstruct", samples, "-o", tmp_path / "out.exr", "--camera", camera)
-    assert report["plan"]["cells_total"] == 4000
+    assert report["plan"]["cells_total"] == 1000
     assert loss(tmp_path / "out.exr", SHIPPED / "fence_ref_dofmb.exr") < MOST_LOSS["samples"]

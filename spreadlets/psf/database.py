@@ -81,7 +81,7 @@ class Database:
     --------
     >>> with sp.open_database("simplelens") as database:
     ...     database.n_cells, database.n_channels, database.grid.model.name
-    (100, 1, 'simplelens')
+    (400, 1, 'simplelens')
     """
 
     def __init__(self, file: h5py.File, path: Path) -> None:
