@@ -162,12 +162,12 @@ def highlight_shadow(lab: Lab, ratio: float) -> float:
     "times 1e{}",
     (-30, -20, 20, 30),
     given="a texture of that brightness, CoC 6 px, path (9, 4) px",
-    oracle="the image of the texture, scaled; of one brighter than white where the scale is",
+    oracle="the image of the texture, scaled",
     budget=1e-5,
 )
 def scaled_radiance(lab: Lab, exponent: int) -> float:
-    """Rendering is homogeneous, but for what changes at white."""
-    colours = texture(48, 48) + np.float32(exponent > 0)
+    """Rendering is homogeneous."""
+    colours = texture(48, 48)
     plain = lab.render(frame_of(colours, 6.0, (9, 4)))[..., :3]
     scaled = lab.render(frame_of(colours * np.float32(10.0**exponent), 6.0, (9, 4)))[..., :3]
     return worst(scaled / 10.0**exponent - plain)
