@@ -367,8 +367,11 @@ def _shared_keys(
 
 def _bright(pixels: Pixels) -> float:
     """Return the radiance above which a pixel is bright: beyond white, and far above the mean of the frame."""
-    colours = pixels.radiance if pixels.frame is None else pixels.frame
-    return max(WHITE, BRIGHT * float(colours[..., :3].mean(dtype=np.float64)))
+    return max(WHITE, BRIGHT * _mean_radiance(pixels.radiance if pixels.frame is None else pixels.frame))
+
+
+# Sets often share their colours.
+_mean_radiance = Remembered(lambda colours: float(colours[..., :3].mean(dtype=np.float64)))
 
 
 class _Given(NamedTuple):
