@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test docs clean databases
+.PHONY: demo test docs clean databases kernels
 
 # What is imported is kept as bytecode, even where the environment forbids it: installing with --no-compile leaves none, and each
 # run would take a second longer.
@@ -30,6 +30,12 @@ databases: $(VENV)/.installed
 	$(BIN)/spreadlets build stylized -o psf_db/stylized.h5 --image docs/models/heart.png --colour-offset 0.06 --samples 300
 	$(BIN)/spreadlets build physicallens -o psf_db/physicallens.h5 --camera psf_db/physicallens.json --width 1024 \
 	    --max-coc 32 --samples 500
+
+# Which kernels a run calls, in which order: what other processes compile in the first run.
+kernels: $(VENV)/.installed
+	for run in synthesize reconstruct; do \
+	    $(BIN)/python -m spreadlets.ahead $$run > $$run.json && mv $$run.json spreadlets/ahead/ || exit 1; \
+	done
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'

@@ -18,7 +18,7 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -38,6 +38,7 @@ TEMPORARY = "spreadlets-"
 """What the name of a folder that ends with the process begins with."""
 logger = logging.getLogger("spreadlets")
 _kernels: set[Kernel] = set()
+_first_calls: list[tuple[str, str, Any]] = []
 
 
 @overload
@@ -173,6 +174,7 @@ class _KernelCache(FunctionCache):
     _impl_class = _KernelCacheImpl
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
+        _first_calls.append((self._py_func.__module__, self._py_func.__name__, signature))
         try:
             return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
         except (OSError, EOFError, pickle.UnpicklingError):
@@ -189,9 +191,9 @@ class _Announcement(numba.core.event.Listener):
     count = 0
 
     def on_start(self, event: numba.core.event.Event) -> None:
-        if event.data["dispatcher"] in _kernels:
+        if is_kernel(event.data["dispatcher"]):
             if not self.count:
-                runs = "this run" if kernel_folder().name.startswith(TEMPORARY) else "later runs"
+                runs = "later runs" if are_kept() else "this run"
                 logger.info("compiling once: kernels are kept for %s in %s", runs, kernel_folder())
             self.count += 1
 
@@ -223,3 +225,18 @@ numba.core.event.register("numba:compile", _announcement)  # type: ignore[no-unt
 def count_compiled() -> int:
     """Return how many kernels this process has compiled, instead of loading them."""
     return _announcement.count
+
+
+def is_kernel(dispatcher: Any) -> bool:
+    """Return whether Numba's function is one of our kernels, not a helper within one."""
+    return dispatcher in _kernels
+
+
+def first_calls() -> Sequence[tuple[str, str, Any]]:
+    """Return module, name and types of arguments of the kernels that were called, in the order of their first calls."""
+    return _first_calls
+
+
+def are_kept() -> bool:
+    """Return whether other processes find what this one compiles."""
+    return not kernel_folder().name.startswith(TEMPORARY)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spreadlets.ahead import RUNS, compiled_ahead
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.arrays import Image
 from spreadlets.compiled import count_compiled, kernel_folder
@@ -64,7 +65,7 @@ def warm_up(*, every_method: bool = False, progress: Callable[[int, int], None] 
     """
     runs, clock = [*_usual_runs(), *(_other_runs() if every_method else ())], Clock()
     before = count_compiled()
-    with warnings.catch_warnings(), clock.step("plan"):
+    with warnings.catch_warnings(), compiled_ahead(*RUNS), clock.step("plan"):
         # Nobody looks at these images.
         warnings.simplefilter("ignore")
         for done, run in enumerate(runs):

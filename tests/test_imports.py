@@ -27,7 +27,9 @@ ORDER = (
     {"full_psfs", "bokeh"},
     {"renderer"},
     {"api"},
-    {"jobs", "reports", "warmup", "view", "photograph"},
+    {"jobs", "reports", "view", "photograph"},
+    {"ahead"},
+    {"warmup"},
     {"cli"},
 )
 """The order of the tree, stated once: what stands in a row may import only from rows above it."""

@@ -73,6 +73,7 @@ def photo(
 
     Example: spreadlets photo dog.jpg dog_depth.png -o out.jpg --focus 820,640 --blur 30
     """
+    from spreadlets.ahead import compiled_ahead
     from spreadlets.bokeh import bokeh_model
     from spreadlets.files.images import check_bit_depth, write_image
     from spreadlets.files.outputs import check_outputs
@@ -90,7 +91,7 @@ def photo(
         picture, values = read_picture(image), read_plane(depth)
         held = None if mask is None else read_plane(mask)
     # Blur and write it.
-    with progress_bar("building", quiet=as_json) as progress:
+    with compiled_ahead("synthesize"), progress_bar("building", quiet=as_json) as progress:
         result = make(
             picture.radiance,
             values,

@@ -92,6 +92,7 @@ def synth(
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
+    from spreadlets.ahead import compiled_ahead
     from spreadlets.files.sequence import is_pattern
     from spreadlets.jobs.synthesis import Synthesis
     from spreadlets.runtime.options import RENDER_OPTIONS
@@ -119,7 +120,8 @@ def synth(
         output_coc,
         tuple((path, reading) for path in hidden_from),
     )
-    _run(job, sequence, as_json)
+    with compiled_ahead("synthesize"):
+        _run(job, sequence, as_json)
 
 
 def _run(job: Job, sequence: dict[str, Any], as_json: bool) -> None:
@@ -230,6 +232,7 @@ def reconstruct(
 
     Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
     """
+    from spreadlets.ahead import compiled_ahead
     from spreadlets.jobs.reconstruction import Reconstruction
 
     sequence, lens, database = take_sequence(options), take_camera(options), options.pop("database")
@@ -237,7 +240,8 @@ def reconstruct(
     job = Reconstruction(
         (samples,), output, camera, lens, reference, database, bit_depth, options, settings, spp, repair
     )
-    _run(job, sequence, as_json)
+    with compiled_ahead("reconstruct"):
+        _run(job, sequence, as_json)
 
 
 @cloup.command()

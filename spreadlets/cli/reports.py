@@ -55,9 +55,12 @@ def demo(output: str, from_samples: bool, as_json: bool) -> None:
 
     Example: spreadlets demo --reconstruct -o demo_output
     """
+    from spreadlets.ahead import compiled_ahead
     from spreadlets.reports.demo import run_demo, run_reconstruction_demo
 
-    print_figures((run_reconstruction_demo if from_samples else run_demo)(output), as_json)
+    with compiled_ahead("reconstruct" if from_samples else "synthesize"):
+        report = (run_reconstruction_demo if from_samples else run_demo)(output)
+    print_figures(report, as_json)
 
 
 @cloup.command()

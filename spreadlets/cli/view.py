@@ -38,6 +38,7 @@ def view(
 
     Example: spreadlets view frame.exr --camera camera.json --reference reference.exr
     """
+    from spreadlets.ahead import compiled_ahead
     from spreadlets.files import exr_frames as exr
     from spreadlets.files.cameras import camera_of
     from spreadlets.files.recognise import ReadOptions
@@ -57,4 +58,5 @@ def view(
         click.echo(f"{server.url}\nInterrupt (Ctrl-C) to end.")
     if not no_browser and not as_json:
         webbrowser.open(server.url)
-    server.run()
+    with compiled_ahead("synthesize"):
+        server.run()
