@@ -5,6 +5,7 @@ Writes the relative L1 differences, and what the spreadlets of these PSFs cost, 
     python benchmarks/apertures.py
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -37,6 +38,7 @@ def row(name: str) -> str:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     head = "option        behind  in front  moving    sparsity, similarity of the spreadlet: behind, moving"
     lines = [head, *(row(name) for name in SHAPES)]
     RESULT.write_text("\n".join(lines) + "\n")

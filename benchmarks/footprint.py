@@ -7,6 +7,7 @@ synthetic: a picture of smoothly varying depth and motion, in four layers where 
 benchmarks/results.
 """
 
+import argparse
 import json
 import os
 import subprocess
@@ -92,6 +93,7 @@ def made_for_a_frame(folder: Path) -> list[str]:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         camera = folder / "camera.json"

@@ -8,6 +8,7 @@ minute; prints the constants for `runtime/convolution_pyramid.py`, how far the s
 errors on families that were not trained on.
 """
 
+import argparse
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,6 +147,7 @@ def optimise() -> tuple[LevelFilters, LevelFilters]:
 
 def main() -> None:
     """Optimise, print and test."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     found = optimise()
     for name, filters in zip(("FINEST_FILTERS", "COARSER_FILTERS"), found, strict=True):
         print(

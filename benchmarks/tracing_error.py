@@ -6,6 +6,7 @@ comparison: independent random rays, one point each, as a plain light tracer sho
     python benchmarks/tracing_error.py
 """
 
+import argparse
 import sys
 import time
 from pathlib import Path
@@ -67,6 +68,7 @@ def measure(radius, length):
 
 
 def main():
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     lines = [f"{'PSF':16}{'rays':>10}{'relative L1':>14}{'ms':>8}{'random rays L1':>16}"]
     for i, (name, (radius, length)) in enumerate(CASES.items()):
         rows = list(measure(radius, length))
