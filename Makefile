@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test docs clean databases kernels
+.PHONY: demo test docs clean databases kernels scenes
 
 # What is imported is kept as bytecode, even where the environment forbids it: installing with --no-compile leaves none, and each
 # run would take a second longer.
@@ -37,6 +37,14 @@ kernels: $(VENV)/.installed
 	    $(BIN)/python -m spreadlets.ahead $$run > $$run.json && mv $$run.json spreadlets/ahead/ || exit 1; \
 	done
 
+# The frames that studies take by --frames, in frames/: hours. For less: make scenes SCENES=gear SIZE=256 EFFORT=0.1
+SCENES ?= coins whirl fence gear rain
+SIZE ?= 512
+EFFORT ?= 1
+scenes: $(VENV)-scenes/.installed
+	set -e; for scene in $(SCENES); do \
+	    $(VENV)-scenes/bin/python scenes/render.py $$scene --size $(SIZE) --effort $(EFFORT) -o frames; done
+
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
@@ -53,5 +61,13 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	touch $@
 
+# Blender's package has its own Python, 3.11, and NumPy, 1.
+PYTHON311 ?= python3.11
+
+$(VENV)-scenes/.installed: pyproject.toml
+	$(PYTHON311) -m venv $(VENV)-scenes
+	$(VENV)-scenes/bin/python -m pip install --quiet --editable '.[scenes]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo_output build dist site
+	rm -rf $(VENV) $(VENV)-scenes demo_output build dist site

@@ -11,7 +11,8 @@ from skimage.transform import downscale_local_mean
 import spreadlets as sp
 from spreadlets.scene.display import display_encode
 
-SCENES = ("coins", "whirl", "fence")
+SCENES = ("coins", "whirl", "fence", "gear")
+"""What `scenes/render.py` makes for a thin lens; any of them may be there."""
 RESULTS = Path(__file__).parent / "results"
 DATA, TESTS = Path(sp.__file__).parent / "data", Path(__file__).parent.parent / "tests" / "data"
 SMALL = RESULTS / "small"
@@ -68,7 +69,7 @@ def parser(description: str | None) -> argparse.ArgumentParser:
         "--frames",
         type=Path,
         default=Path("frames"),
-        help="folder of the frames at full size (default: frames); without them, the small ones that ship are taken",
+        help="folder of frames, see scenes/README.md (default: frames); without, the small ones that ship are taken",
     )
     return made
 
@@ -84,8 +85,9 @@ def scenes(folder: Path, *needed: str) -> list[Scene]:
     *needed : str
         Endings of files, such as ``_samples.exr``.
     """
-    whole = (folder / "coins_pinhole.exr").exists()
-    places = dict.fromkeys(SCENES, (folder,)) if whole else SHIPPED
+    there = [name for name in SCENES if (folder / f"{name}.json").exists()]
+    whole = bool(there)
+    places = dict.fromkeys(there, (folder,)) if whole else SHIPPED
     found = [Scene(name, *folders) for name, folders in places.items()]
     found = [scene for scene in found if all(scene.path(ending).exists() for ending in needed)]
     names = ", ".join(scene.name for scene in found) or "none"
