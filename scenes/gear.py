@@ -143,7 +143,8 @@ def build() -> None:
         textured("noise", ((0.75, 0.76, 0.78), (0.42, 0.43, 0.46)), 9.0, metallic=1, roughness=0.3),
         textured("noise", ((0.8, 0.42, 0.28), (0.4, 0.18, 0.1)), 9.0, metallic=1, roughness=0.34),
     ]
-    polished = material((0.95, 0.9, 0.8), metallic=1, roughness=0.24)
+    # Not smoother: highlights of a pixel, far out of focus, would leave any reference noisy.
+    polished = material((0.95, 0.9, 0.8), metallic=1, roughness=0.45)
     for number, gear in enumerate(_gears()):
         thickness = 0.12 if gear.layer != 2 else 0.2
         axis = Vector((math.sin(gear.tilt), math.cos(gear.tilt), 0))
@@ -158,6 +159,6 @@ def build() -> None:
             spin(item, axis, 0, -gear.velocity)
     wall = textured("cells", ((0.16, 0.1, 0.06), (0.03, 0.035, 0.05)), 1.4, roughness=0.6)
     add(plane(40, 40), wall, (0, 17, 0), angles=(QUARTER, 0, 0), layer=2)
-    area_light((-4, 0, 5), (0, 5, 0), 0.8, 1100, (1, 0.93, 0.85))
-    area_light((4, -1, 2), (0, 6, 0), 0.6, 700, (0.8, 0.88, 1))
-    area_light((2, 5, 7), (0, 11, 0), 1.0, 600, (1, 0.85, 0.7))
+    area_light((-4, 0, 5), (0, 5, 0), 1.6, 1100, (1, 0.93, 0.85))
+    area_light((4, -1, 2), (0, 6, 0), 1.4, 700, (0.8, 0.88, 1))
+    area_light((2, 5, 7), (0, 11, 0), 1.6, 600, (1, 0.85, 0.7))
