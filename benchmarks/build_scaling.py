@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from spreadlets.files.cameras import read_camera
-from spreadlets.precompute.build.build import build_database, model_grid
+from spreadlets.precompute.build.build import build_database
 from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
+from spreadlets.precompute.models.grids import model_grid
 from spreadlets.psf.model import PsfGrid
 
 ROOT = Path(__file__).resolve().parent.parent

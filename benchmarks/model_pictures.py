@@ -14,7 +14,7 @@ import numpy as np
 from scenes import Scene, parser, result_path, scenes
 
 import spreadlets as sp
-from spreadlets.precompute.build.build import model_settings
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.database import open_database
 from spreadlets.psf.model import get_model

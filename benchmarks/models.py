@@ -23,7 +23,8 @@ from scenes import parser as frames_parser
 from scipy import ndimage
 
 import spreadlets as sp
-from spreadlets.precompute.build.build import build_database, model_grid
+from spreadlets.precompute.build.build import build_database
+from spreadlets.precompute.models.grids import model_grid
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify import sparsify
 from spreadlets.psf.database import Database, open_database

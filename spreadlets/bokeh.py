@@ -73,7 +73,7 @@ class BokehCache:
     """
 
     def __init__(self, model: Model, progress: Progress | None = None) -> None:
-        from spreadlets.precompute.build.build import model_grid
+        from spreadlets.precompute.models.grids import model_grid
 
         self.model, self.progress = model, progress
         self._grid = model_grid(model.name, **model.options())
@@ -142,7 +142,7 @@ def cache_folder() -> Path:
 
 def _fingerprint(grid: PsfGrid) -> str:
     """Return what tells a model with its cells and settings from all others."""
-    from spreadlets.precompute.build.work import ALGORITHM_VERSION
+    from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 
     axes = [[axis.name, axis.maximum, axis.power, axis.floor] for axis in grid.model.axes]
     content = [ALGORITHM_VERSION, grid.model.name, grid.shape, axes, dict(grid.model.settings)]

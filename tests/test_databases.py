@@ -8,7 +8,7 @@ import pytest
 
 from spreadlets.metrics import PSF_MARGIN_FRACTION, PSF_MARGIN_PX, PSF_SUPPORT_THRESHOLD, psf_l1, psf_similarity
 from spreadlets.precompute.build.build import build_database
-from spreadlets.precompute.build.work import ALGORITHM_VERSION
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.preparation import split_spike
 from spreadlets.psf.database import open_database

@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from spreadlets.errors import BuildStoppedError, InvalidParameterError, WorkerLostError
-from spreadlets.models import option_names
 from spreadlets.precompute.build.between_cells import FindSpreadlet, between_cells
 from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
 from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
 from spreadlets.precompute.build.progress import BuildProgress, Progress
-from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask, UnitResult, WorkUnit, build_unit, plan_units
-from spreadlets.precompute.models.registry import REGISTRY
+from spreadlets.precompute.build.work import CellTask, UnitResult, WorkUnit, build_unit, plan_units
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION, model_grid
 from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, check_sparsifier
 from spreadlets.psf.database_file import CellRecord, absent_record, write_database
-from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.psf.model import PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.version import __version__
 from spreadlets.workers import AGAIN, Compute, open_workers
@@ -185,39 +184,6 @@ def build_grid(model: str, path: str | os.PathLike[str], extend: bool, **options
     if extend:
         return extended_grid(path, model, {name: value for name, value in options.items() if value is not None})
     return model_grid(model, **options)
-
-
-def model_grid(
-    model: str,
-    *,
-    samples: int | None = None,
-    max_coc: float | None = None,
-    max_motion: float | None = None,
-    **options: Any,
-) -> PsfGrid:
-    """Return the grid that a build with these arguments has; None stands for the model's own value."""
-    given = {"max_coc": max_coc, "max_motion": max_motion}
-    ranges = {key: value for key, value in given.items() if value is not None}
-    return PsfGrid.of(get_model(model, **ranges, settings=model_settings(model, options)), samples)
-
-
-def model_settings(model: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Turn the options of a model into its settings; None stands for the model's own value.
-
-    Raises
-    ------
-    InvalidParameterError
-        If the model has no such option, or refuses its value.
-    """
-    if model not in REGISTRY:
-        # The table of models gives the error.
-        return {}
-    given = {name: value for name, value in options.items() if value is not None}
-    known = option_names(model)
-    for name in given:
-        if name not in known:
-            raise InvalidParameterError(f"the model {model!r} has no option {name!r}; its own are: {', '.join(known)}")
-    return REGISTRY[model].read_settings(**given)
 
 
 def _wanted_poses(grid: PsfGrid, only: Iterable[tuple[int, int]] | None) -> list[tuple[int, ...]]:

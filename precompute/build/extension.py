@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import IntArray
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.build.work import ALGORITHM_VERSION
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import Axis, PsfGrid

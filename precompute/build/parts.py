@@ -21,7 +21,8 @@ import numpy as np
 from filelock import BaseFileLock, FileLock, Timeout
 
 from spreadlets.errors import BuildStoppedError, InvalidParameterError
-from spreadlets.precompute.build.work import ALGORITHM_VERSION, CellTask
+from spreadlets.precompute.build.work import CellTask
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.psf.database_file import CellRecord, temporary_path
 from spreadlets.psf.model import PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet

@@ -12,7 +12,8 @@ import numpy as np
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidDatabaseError
 from spreadlets.precompute.build.progress import Progress
-from spreadlets.precompute.build.work import ALGORITHM_VERSION, pose_seed, single_threaded, total_variation
+from spreadlets.precompute.build.work import pose_seed, single_threaded, total_variation
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.measurement import measure_spreadlet
 from spreadlets.psf.database import Database

@@ -16,13 +16,11 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from spreadlets.parallel import limit_threads
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.precompute.models.registry import psf_footprint, trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import PsfGrid, PsfModel
-
-ALGORITHM_VERSION = 5
-"""Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 UNITS_PER_WORKER = 32
 """Least number of units for each worker, unless poses are longer than that: no worker then waits for the last one

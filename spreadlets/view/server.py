@@ -184,7 +184,7 @@ class Server:
         from starlette.responses import JSONResponse, PlainTextResponse
 
         from spreadlets.models import Stylized
-        from spreadlets.precompute.build.build import model_settings
+        from spreadlets.precompute.models.grids import model_settings
 
         if not self._is_allowed(request):
             return self._refusal()

@@ -8,7 +8,8 @@ from scipy import ndimage
 from spreadlets.api import synthesize
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import ssim
-from spreadlets.precompute.build.build import build_database, model_settings
+from spreadlets.precompute.build.build import build_database
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.psf.database import open_database
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.runtime.plan.plan import needed_spreadlets

@@ -14,9 +14,10 @@ from building import CASE, Stop, assert_same, contents, stop_after
 from spreadlets.errors import BuildStoppedError, InvalidDatabaseError, InvalidParameterError
 from spreadlets.precompute.build import parts as parts_module
 from spreadlets.precompute.build import work
-from spreadlets.precompute.build.build import build_database, model_grid
+from spreadlets.precompute.build.build import build_database
 from spreadlets.precompute.build.parts import Parts, open_parts
 from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION, model_grid
 from spreadlets.psf.database import open_database
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="builds databases")
@@ -55,7 +56,7 @@ def test_cells_of_another_seed_or_algorithm_are_built_anew(tmp_path, monkeypatch
     for change in ({"seed": 3}, {"density": 2.0}, {"sparsifier": "lks"}, {"max_coc": 5.0}, {"rays": 9_000}):
         with pytest.raises(Stop):
             build(tmp_path / "a.h5", progress=stop_after(0), **change)
-    monkeypatch.setattr(parts_module, "ALGORITHM_VERSION", work.ALGORITHM_VERSION + 1)
+    monkeypatch.setattr(parts_module, "ALGORITHM_VERSION", ALGORITHM_VERSION + 1)
     with pytest.raises(Stop):
         build(tmp_path / "a.h5", progress=stop_after(0))
 
@@ -188,7 +189,7 @@ def test_a_unit_computes_with_one_thread_and_one_at_a_time():
     unit = plan_units(tasks_of(model_grid("combined", samples=12, max_coc=4.0, max_motion=4.0)), 1)[-1]
     result = build_unit(unit._replace(rays=5_000))
     assert result.seconds > 0.0 and set(result.records) == {number for number, _, _ in unit.poses}
-    assert result.algorithm_version == work.ALGORITHM_VERSION
+    assert result.algorithm_version == ALGORITHM_VERSION
 
 
 def test_parts_of_other_builds_go_when_the_database_is_complete(reference, tmp_path):

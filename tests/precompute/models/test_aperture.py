@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.build.build import model_settings
 from spreadlets.precompute.models.aperture import Aperture, shutter_times
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.psf.model import PsfGrid, get_model
 

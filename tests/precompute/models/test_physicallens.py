@@ -7,9 +7,9 @@ import optical_reference
 import pytest
 
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.precompute.build.build import model_settings
 from spreadlets.precompute.models import physicallens
 from spreadlets.precompute.models.colour import LONGEST_NM, SHORTEST_NM, observer, rgb_response
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.physicallens import focused_lens, trace_bundle
 from spreadlets.precompute.models.prescription import (
     LINE_C_NM,

@@ -8,7 +8,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from spreadlets.errors import InvalidFileError, InvalidParameterError
-from spreadlets.precompute.build.build import build_database, model_settings
+from spreadlets.precompute.build.build import build_database
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.models.stylized import MAX_SIDE, decode, read_settings
 from spreadlets.precompute.sparsify.sparsify import sparsify

@@ -6,8 +6,8 @@ import pytest
 from threads import for_thread_counts
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.build.build import model_settings
 from spreadlets.precompute.models._volume_kernels import free_path, scattering_cosine, seed_state, uniform
+from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.models.volume import N_BLOCKS, RINGS_PER_PX, Medium, draw_rings, trace_paths
 from spreadlets.precompute.sparsify.preparation import split_spike
