@@ -1,6 +1,7 @@
 """The import rules: data flows one way, and only `spreadlets` is imported."""
 
 import ast
+import os
 import subprocess
 import sys
 from collections import defaultdict
@@ -133,6 +134,17 @@ def test_a_usual_run_loads_only_what_it_needs():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
+
+
+def test_an_aperture_that_was_built_before_is_found_without_what_builds_them(tmp_path):
+    code = (
+        "import sys, spreadlets as sp, spreadlets.bokeh\n"
+        "spreadlets.bokeh.BokehCache(sp.models.SimpleLens(blades=5)).recall()\n"
+        "print([name for name in ('scipy.signal', 'spreadlets.precompute.build') if name in sys.modules])"
+    )
+    environment = {**os.environ, "SPREADLETS_BOKEH_CACHE": str(tmp_path)}
+    loaded = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "[]"
 
 
 def test_folders_of_the_users_own_do_not_stand_in_the_way(tmp_path):
