@@ -73,7 +73,7 @@ class BokehCache:
     """
 
     def __init__(self, model: Model, progress: Progress | None = None) -> None:
-        from spreadlets.precompute.build.build import model_grid
+        from spreadlets.precompute.models.grids import model_grid
 
         self.model, self.progress = model, progress
         self._grid = model_grid(model.name, **model.options())
