@@ -13,7 +13,7 @@ from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError
 from spreadlets.full_psfs import DensePsfs as DensePsfs
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model, option_names
-from spreadlets.psf.database import Database, open_database
+from spreadlets.psf.database import Database, open_database, shared_database
 from spreadlets.renderer import Renderer, default_database
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.doubts import sample_doubts
@@ -367,7 +367,11 @@ def _opened(database: Database | str | None, moving: bool) -> Iterator[Database]
     if isinstance(database, Database):
         yield database
         return
-    with open_database(database or default_database(moving)) as opened:
+    name = database or default_database(moving)
+    if (shared := shared_database(name)) is not None:
+        yield shared
+        return
+    with open_database(name) as opened:
         yield opened
 
 

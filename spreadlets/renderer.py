@@ -17,7 +17,7 @@ from spreadlets.bokeh import BokehCache, Progress
 from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, LeftOutError, option
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model
-from spreadlets.psf.database import Database, open_database
+from spreadlets.psf.database import Database, open_database, shared_database
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.doubts import frame_doubts
@@ -372,8 +372,11 @@ class Renderer:
         assert not isinstance(self._database, Model)
         name = self._database or default_database(moving)
         if name not in self._named:
-            self._named[name] = open_database(name)
-            self._opened.append(self._named[name])
+            found = shared_database(name)
+            if found is None:
+                found = open_database(name)
+                self._opened.append(found)
+            self._named[name] = found
         return self._named[name]
 
     def _build(self, bokeh: BokehCache, database: Database, places: Sequence[tuple[int, int]]) -> None:

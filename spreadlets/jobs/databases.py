@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 
-from spreadlets.psf.database import Database, open_database, resolve
+from spreadlets.psf.database import Database, open_database, resolve, shared_database
 
 MOST_OPEN = 8
 """Databases that are kept open: more than a shot uses; those that are not asked for the longest go first."""
@@ -27,6 +27,8 @@ def kept_database(name: str) -> Database:
     InvalidDatabaseError
         As `open_database` does.
     """
+    if (shared := shared_database(name)) is not None:
+        return shared
     status = os.stat(resolve(name))
     key = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     with _lock:

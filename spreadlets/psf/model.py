@@ -455,8 +455,12 @@ class PsfGrid:
 
     def angles(self, cell: int) -> npt.NDArray[np.float64]:
         """Return the angle of each pose stored for a cell, radians, float64; those behind the focus come first."""
+        return self.angles_of(int(self.pose_counts[cell]))
+
+    def angles_of(self, pose_count: int) -> npt.NDArray[np.float64]:
+        """Return the angle of each pose of a cell with so many."""
         symmetry = self.model.symmetry
-        count = int(self.pose_counts[cell]) // symmetry.n_sides
+        count = pose_count // symmetry.n_sides
         stop = symmetry.n_spans * OCTANT
         nodes = np.linspace(0.0, stop, count, endpoint=symmetry.lattice, dtype=np.float64)
         return np.tile(nodes, symmetry.n_sides)

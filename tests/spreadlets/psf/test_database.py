@@ -1,12 +1,15 @@
+import os
+import shutil
 import zlib
 
 import h5py
 import numpy as np
 import pytest
 
+import spreadlets as sp
 from spreadlets.errors import InvalidDatabaseError, InvalidParameterError
 from spreadlets.psf import database, database_file
-from spreadlets.psf.database import CellRecord, open_database, write_database
+from spreadlets.psf.database import CellRecord, open_database, shared_database, write_database
 from spreadlets.psf.model import PsfGrid, get_model
 from spreadlets.psf.spreadlet import Spreadlet
 
@@ -347,3 +350,24 @@ def test_an_offset_beyond_the_limit_is_refused(path):
         file["offset_rc"][...] = offsets
     with open_database(path) as opened, pytest.raises(InvalidDatabaseError, match="offset above"):
         opened.cell(0)
+
+
+def test_what_ships_stays_open_until_its_file_changes(monkeypatch, tmp_path, small_combined_path):
+    shutil.copy(small_combined_path, tmp_path / "shipped.h5")
+    monkeypatch.setattr(database, "shipped_folder", lambda: tmp_path)
+    first = shared_database("shipped")
+    assert shared_database(tmp_path / "shipped.h5") is first is not None
+    # A renderer that is closed leaves it open.
+    frame = sp.Frame(np.ones((8, 8, 3), np.float32), np.full((8, 8), 4.0))
+    with sp.Renderer(frame, "shipped") as renderer:
+        renderer.render(sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=2, focus_distance_m=2))
+    assert first.cell(0).n_points > 0
+    # Another file of the name is opened anew, while the one before can still be read.
+    shutil.copy(small_combined_path, tmp_path / "other.h5")
+    os.replace(tmp_path / "other.h5", tmp_path / "shipped.h5")
+    assert shared_database("shipped") is not first
+    assert first.cell(0).n_points > 0
+
+
+def test_a_file_of_ones_own_is_not_kept_open(small_combined_path):
+    assert shared_database(small_combined_path) is None
