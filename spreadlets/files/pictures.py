@@ -133,11 +133,12 @@ def _photograph(path: PathLike, image: Any) -> Picture:
     focal_length, f_number = _lens(image)
     profile = image.info.get("icc_profile")
     image = ImageOps.exif_transpose(image)
+    encoded: npt.NDArray[Any]
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
         grey = _unit(np.asarray(image))
         encoded = np.repeat(grey[..., None], 3, axis=2)
     else:
-        encoded = np.asarray(_in_srgb(path, image.convert("RGB"), profile), np.float32) / np.float32(255.0)
+        encoded = np.asarray(_in_srgb(path, image.convert("RGB"), profile))
     return Picture(display_decode(encoded), focal_length, f_number)
 
 

@@ -107,7 +107,8 @@ def photo(
     codes, clock = np.asarray(rgb), clock or Clock()
     with clock.step("plan"):
         linear = _linear(codes)
-        depths, known = _inverse(linear, real_array("depth", depth), depth_kind, refine=refine)
+        encoded = _encoded(codes, linear) if refine or grain else None
+        depths, known = _inverse(real_array("depth", depth), depth_kind, linear.shape[:2], encoded if refine else None)
         if f_number is None:
             camera = blurring_camera(depths, _focus(depths, focus), DEFAULT_BLUR if blur is None else blur)
         elif not known:
@@ -118,22 +119,27 @@ def photo(
         else:
             lens = focal_length or FOCAL_LENGTH_MM, SENSOR_MM, f_number
             camera = ThinLens(*lens, 1.0 / _focus(depths, focus), sensor_fit="auto")
-        deviation = grain_of(np.asarray(display_encode(linear), np.float32)) if grain else None
+        deviation = grain_of(encoded) if grain and encoded is not None else None
         with np.errstate(divide="ignore"):
             frame = Frame(linear, np.float32(1.0) / depths)
     # Of a large photograph each plane counts.
-    del linear, depths
+    del linear, encoded, depths
     with Renderer(frame, database or "simplelens", progress=progress) as renderer:
         image = renderer.render(camera, clock=clock, **options)[..., :3]
         coc = None if deviation is None else renderer.coc(camera, **options)
     return _coded(image if coc is None or deviation is None else grained(image, deviation, coc), codes.dtype)
 
 
-def _inverse(linear: FloatArray, depth: FloatArray, kind: DepthKind, *, refine: bool) -> tuple[FloatArray, bool]:
-    """Return the inverse depth of each pixel, 1/m, and whether its scale is known; else the nearest pixel is at 1 m."""
-    inverse, least, most = inverse_depth(depth, kind, (linear.shape[0], linear.shape[1]))
-    if refine:
-        inverse = refined(inverse, np.asarray(display_encode(linear), np.float32))
+def _inverse(
+    depth: FloatArray, kind: DepthKind, shape: tuple[int, ...], guide: FloatArray | None
+) -> tuple[FloatArray, bool]:
+    """Return the inverse depth of each pixel, 1/m, and whether its scale is known; else the nearest pixel is at 1 m.
+
+    Edges are moved to those of the guide, the photograph as displayed, if there is one.
+    """
+    inverse, least, most = inverse_depth(depth, kind, (shape[0], shape[1]))
+    if guide is not None:
+        inverse = refined(inverse, guide)
     if kind != "metric":
         least, most = FARTHEST, 1.0
     return np.maximum(np.float32(most - least) * inverse + np.float32(least), np.float32(0.0)), kind == "metric"
@@ -156,14 +162,24 @@ def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
 
 def _linear(codes: npt.NDArray[Any]) -> FloatArray:
     """Return a photograph as linear light."""
-    if codes.dtype.kind == "u" and codes.dtype.itemsize <= 2:
-        codes = display_decode(codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max))
-    return np.ascontiguousarray(image_array("rgb", codes)[..., :3])
+    linear = display_decode(codes) if _is_encoded(codes.dtype) else codes
+    return np.ascontiguousarray(image_array("rgb", linear)[..., :3])
+
+
+def _encoded(codes: npt.NDArray[Any], linear: FloatArray) -> FloatArray:
+    """Return a photograph as it is displayed, 0 to 1."""
+    if _is_encoded(codes.dtype):
+        return codes[..., :3].astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
+    return np.asarray(display_encode(linear), np.float32)
+
+
+def _is_encoded(kind: np.dtype[Any]) -> bool:
+    return kind.kind == "u" and kind.itemsize <= 2
 
 
 def _coded(image: FloatArray, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return linear light in the type of a photograph."""
-    if kind.kind != "u" or kind.itemsize > 2:
+    if not _is_encoded(kind):
         return np.ascontiguousarray(image)
     return np.asarray(np.rint(np.iinfo(kind).max * display_encode(image)), kind)
 

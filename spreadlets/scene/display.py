@@ -35,6 +35,7 @@ def display_decode(encoded: npt.ArrayLike) -> npt.NDArray[np.float32]:
     Parameters
     ----------
     encoded : array_like of any shape
+        Unsigned integers of 8 or 16 bits are parts of the largest.
 
     Returns
     -------
@@ -44,6 +45,12 @@ def display_decode(encoded: npt.ArrayLike) -> npt.NDArray[np.float32]:
     -----
     The inverse of `display_encode`.
     """
-    values = np.asarray(encoded, np.float32)
+    codes = np.asarray(encoded)
+    if codes.dtype in (np.uint8, np.uint16):
+        # There are few codes, and many pixels.
+        most = np.iinfo(codes.dtype).max
+        table = display_decode(np.arange(most + 1, dtype=np.float32) / np.float32(most))
+        return np.asarray(table[codes])
+    values = codes.astype(np.float32, copy=False)
     curved = np.power((np.maximum(values, 0.0) + np.float32(0.055)) / np.float32(1.055), np.float32(2.4))
     return np.asarray(np.where(values <= 0.04045, values / np.float32(12.92), curved), np.float32)

@@ -24,6 +24,14 @@ def test_the_display_s_encoding_is_undone_exactly():
     np.testing.assert_allclose(display_decode(display_encode(values)), values, atol=1e-6)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_codes_are_parts_of_the_largest(kind):
+    most = np.iinfo(kind).max
+    codes = np.array([[0, 1, most // 3], [most // 2, most - 1, most]], kind)
+    np.testing.assert_allclose(display_decode(codes), display_decode(codes / np.float32(most)), atol=1e-7)
+    assert display_decode(codes)[1, 2] == 1.0
+
+
 def test_exif_turns_the_picture_and_tells_the_lens(tmp_path):
     image, exif = Image.fromarray(CODES), Image.Exif()
     exif[0x0112] = 6
