@@ -231,7 +231,7 @@ NOTES_10 = (
     "sparsity is of cells spread evenly over the parameter space, a third of which are nearly lines, which have no "
     "sparse Laplacian and are stored in full; from 4 px of CoC on it is below the paper's.",
     "- a: the quad-tree is better here than in the paper, as ours is of Haar wavelets chosen by magnitude.",
-    "- d: as in the paper, quality saturates: twice the points gain a hundredth.",
+    "- d: as in the paper, quality saturates: twice the points gain half a hundredth.",
     "- e: rises with the number of cells, as in the paper; the strict box makes the values lower.",
     "- f: as in the paper larger discs need a smaller share of points. Gaussians do not get worse with size here: "
     "fitted values hold their smooth slopes with fewer points than Voronoi sums.",
@@ -241,9 +241,9 @@ NOTES_10 = (
 NOTES_11 = (
     "![With the pre-filter, without it, each pixel's own PSF, and 4 x the difference of the first](lks_fig11.png)",
     "",
-    "- As in the paper, the pre-filter turns the steps between cells into a slight blur. It does less here: "
-    "the largest step falls by a sixth, for an eighth more mean error, since the cells of this grid are narrower in "
-    "CoC. The paper shows it on a frame; on ours texture hides the steps, so this is a surface made to show them.",
+    "- In the paper, the pre-filter turns the steps between cells into a slight blur. Here it has next to nothing left "
+    "to do: cells are narrow in CoC, and bright areas share out neighbouring ones, so that the steps are about those of "
+    "exact PSFs. The paper shows it on a frame; this is a surface made to show steps.",
 )
 
 
