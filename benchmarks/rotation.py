@@ -23,7 +23,7 @@ from scipy import signal
 
 import spreadlets as sp
 
-DEGREES = (10, 20, 30, 45, 60, 90)
+DEGREES = (30, 60, 90)
 """Rotation per frame."""
 TIMES = 256
 SUPERSAMPLING = 3
