@@ -43,7 +43,7 @@ class ShareBeyond:
         n_seen = len(covers) - n_hidden
         self.cover = layers.Cover(covers[:n_seen], covers[n_seen:], known)
         self.moments = layers.layer_moments(
-            [(each.labels, each.labels.path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
+            [(each, each.labels.whole_path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,
         )
 
@@ -81,7 +81,7 @@ class PassingSamples:
     def _moments(self, pixel_sets: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
         motion = np.ascontiguousarray(np.moveaxis(self.samples.motion, 2, 0))
         return layers.layer_moments(
-            [(each.labels, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
+            [(each, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
         )
 
     def seen(self, number: int) -> Image | None:

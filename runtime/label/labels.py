@@ -117,6 +117,8 @@ class Labels(NamedTuple):
         From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
     view : View
         The pixels' places in space.
+    sweep : ndarray of shape (H, W, 2), float32, or None
+        Of steps of the shutter's time, the motion over all of it, px; None if `path` is that.
     """
 
     coc: FloatArray
@@ -124,6 +126,12 @@ class Labels(NamedTuple):
     length: FloatArray
     shift: FloatArray | None
     view: View
+    sweep: FloatArray | None = None
+
+    @property
+    def whole_path(self) -> FloatArray:
+        """Motion (dx, dy) over the shutter, (H, W, 2), px, also of what is drawn in steps."""
+        return self.path if self.sweep is None else self.sweep
 
 
 def _radius(labels: Labels) -> FloatArray:

@@ -64,8 +64,9 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
     """
     if not effects.swept and pixels.labels.length.any():
         # What is not swept has no path; it gets places instead.
-        still = np.zeros_like(pixels.labels.path)
-        pixels = pixels._replace(labels=pixels.labels._replace(path=still, length=np.zeros_like(pixels.labels.length)))
+        labels = pixels.labels
+        labels = labels._replace(path=np.zeros_like(labels.path), length=np.zeros_like(labels.length), sweep=labels.path)
+        pixels = pixels._replace(labels=labels)
     steps = _count_steps(layer, pixels, camera, effects)
     largest = 1 if steps is None else int(steps.max())
     if steps is None or largest == 1:
@@ -127,6 +128,7 @@ def _power_of_two(steps: FloatArray) -> npt.NDArray[np.int32]:
 
 def _labels_in_time(layer: Layer, labels: Labels, camera: ThinLens, effects: Effects, count: int) -> Iterator[Labels]:
     """Yield the labels of each of some equal steps of the shutter's time."""
+    labels = labels._replace(sweep=labels.whole_path)
     times = np.linspace(*camera.shutter, count + 1)
     for opens, closes in zip(times[:-1], times[1:], strict=True):
         middle = 0.5 * (opens + closes)

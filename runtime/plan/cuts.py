@@ -89,7 +89,7 @@ def find_steps(
 
 
 def _planes(labels: Labels, variant: npt.NDArray[np.int32]) -> tuple[Image, Image, Image, npt.NDArray[np.int32]]:
-    return labels.view.depth, labels.coc, labels.path, variant
+    return labels.view.depth, labels.coc, labels.whole_path, variant
 
 
 def _add_meetings(first: DoubleArray, second: DoubleArray, meetings: DoubleArray) -> None:
