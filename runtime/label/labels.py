@@ -102,6 +102,12 @@ class View(NamedTuple):
         return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
 
 
+def camera_view(depth: FloatArray, raster: Raster, camera: ThinLens) -> View:
+    """Return how the camera sees pixels, whose display window's width is the sensor's."""
+    mm_per_px = camera.sensor_width_mm / raster.display.width
+    return View(depth, camera.focal_length_mm / mm_per_px, mm_per_px, raster.off_middle)
+
+
 class Labels(NamedTuple):
     """What the PSF of each pixel depends on.
 
