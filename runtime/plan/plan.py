@@ -257,7 +257,7 @@ def plan_pixels(
         lay_out=lay_out,
         error_bound=error_bound,
     )
-    plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
+    plan.left_out = _left_out(plan, pixel_sets, chosen.variants, stochastic=stochastic)
     return plan
 
 
@@ -587,7 +587,9 @@ def _variation(
     return variation
 
 
-def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant]) -> list[str]:
+def _left_out(
+    plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant], *, stochastic: bool
+) -> list[str]:
     """Name what is not needed."""
     frames = [each for each in pixel_sets if not each.is_list]
     labels = [each.labels for each in pixel_sets]
@@ -595,7 +597,7 @@ def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant])
         "empty pixels": plan.pixels_skipped > 0,
         "motion": not any(each.length.any() for each in labels),
         "curved motion": all(each.curved is None for each in frames),
-        "blended depths": not any(_is_shared(each) for each in frames),
+        "blended depths": stochastic or not any(_is_shared(each) for each in frames),
         "defocus": not any(each.coc.any() for each in labels),
         "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),
