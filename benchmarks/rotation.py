@@ -8,8 +8,9 @@ of 256 times in the shutter, which is open for half a frame, of 3 x 3 samples in
 ``curved`` paths, which use both vectors, and with ``straight`` ones along their mean, as of a frame that carries one
 vector; the gain. ``layered``: the background behind the propeller is in the input; ``blurred``: the same, everything
 out of focus by 3 px; ``single``: one layer; ``1 sample``, ``4 samples``: stochastic samples in each pixel, each at a
-time of its own, with the vectors of what it met. Writes rotation.txt, rotation.png (the figure) and rotation_pictures.png
-(layered, 60 degrees: curved, straight, the reference, 4 times the difference of the first) to benchmarks/results.
+time of its own, with the vectors of what it met. Writes rotation.txt, rotation.png (the figure) and
+rotation_pictures.png (layered, 60 degrees: curved, straight, the reference, 4 times the difference of the first) to
+benchmarks/results.
 """
 
 import argparse
@@ -121,8 +122,8 @@ def samples(size: int, degrees: float, count: int, shutter: tuple[float, float])
     """Return a buffer of stochastic samples, with curved and with straight paths."""
     rng, shape = np.random.default_rng(0), (size, size, count)
     time, offset = rng.uniform(*shutter, shape), rng.uniform(-0.5, 0.5, (*shape, 2))
-    x, y = (offset[..., axis] + 0.5 + np.arange(size).reshape(sides) for axis, sides in ((0, (1, -1, 1)), (1, (-1, 1, 1))))
-    x, y = x / (size / 2) - 1, y / (size / 2) - 1
+    centre = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1)[:, :, None] + 0.5
+    x, y = np.moveaxis((centre + offset) / (size / 2) - 1, -1, 0)
     # What a sample meets at its time lies, at the frame's, where that part of the propeller is then.
     radius, angle = np.hypot(x, y), np.arctan2(y, x) - np.deg2rad(degrees) * time
     met = propeller(radius, angle)

@@ -65,7 +65,9 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
     if not effects.swept and pixels.labels.length.any():
         # What is not swept has no path; it gets places instead.
         labels = pixels.labels
-        labels = labels._replace(path=np.zeros_like(labels.path), length=np.zeros_like(labels.length), sweep=labels.path)
+        labels = labels._replace(
+            path=np.zeros_like(labels.path), length=np.zeros_like(labels.length), sweep=labels.path
+        )
         pixels = pixels._replace(labels=labels)
     steps = _count_steps(layer, pixels, camera, effects)
     largest = 1 if steps is None else int(steps.max())

@@ -38,10 +38,10 @@ def count_samples(layer, number, shift, bins, margin, count):
 
 
 @kernel
-def share_area(begin, end, count, area):
+def share_area(begin, end, count, usual, bins, area):
     """Fill ``area`` (rows, cols), float32, with the area that each sample of a bin stands for; 0 where there is none.
 
-    It is the inverse of their number per bin, under a tent of two bins.
+    It is the inverse of their number, under a tent of two bins, times the number that is ``usual`` in each pixel.
     """
     for row in range(begin, end):
         for col in range(count.shape[1]):
@@ -54,27 +54,15 @@ def share_area(begin, end, count, area):
                     y, x = row + down, col + across
                     if 0 <= y < count.shape[0] and 0 <= x < count.shape[1]:
                         around += count[y, x] * np.float32((2 - abs(down)) * (2 - abs(across)) / 16.0)
-            area[row, col] = np.float32(1.0) / around
-
-
-@kernel
-def sum_bins(begin, end, count, area, bins, sums):
-    """Fill ``sums`` (2, rows, cols), float32, with the numbers of samples in each pixel, and their areas."""
-    for row in range(begin, end):
-        for col in range(sums.shape[2]):
-            number, total = np.float32(0.0), np.float32(0.0)
-            for y in range(row * bins, (row + 1) * bins):
-                for x in range(col * bins, (col + 1) * bins):
-                    number += count[y, x]
-                    total += count[y, x] * area[y, x]
-            sums[0, row, col], sums[1, row, col] = number, total
+            area[row, col] = usual[row // bins, col // bins] / around
 
 
 @kernel
 def weigh_samples(begin, end, layer, number, shift, bins, margin, area, sums, weight):
     """Fill ``weight`` (H, W), float32, of the samples of a layer with their areas over the mean of those around.
 
-    See `count_samples`; ``area`` is of `share_area`, ``sums`` of `sum_bins`, over the surroundings of each pixel.
+    See `count_samples`; ``area`` is of `share_area`, ``sums`` (2, rows, cols) are the samples and their areas around each
+    pixel.
     """
     for row in range(begin, end):
         for col in range(layer.shape[1]):

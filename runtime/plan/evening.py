@@ -19,6 +19,8 @@ from spreadlets.runtime.plan.layering import Layering
 
 SURROUNDINGS_PX = 9
 """Weights are 1 in the mean over so many pixels: how much of a surface was seen is left as it is."""
+USUAL_PX = 7
+"""Side of the box that, applied twice, tells how many samples are usual around."""
 MARGIN_PX = 64
 """How far beyond the frame samples are counted; what lies farther keeps the weight 1."""
 
@@ -35,7 +37,9 @@ def evened(pixel_sets: Sequence[Pixels], n_layers: int) -> list[Pixels]:
     """
     # Find the layer of each sample that met something.
     met = [np.where(each.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1)) for each in pixel_sets]
-    layering = Layering.equal([(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)], n_layers, 0.0)
+    layering = Layering.equal(
+        [(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)], n_layers, 0.0
+    )
     layer = [
         np.where(there < 0, there, layering.members(each.labels, there).layer)
         for each, there in zip(pixel_sets, met, strict=True)
@@ -56,9 +60,20 @@ def _weigh_layer(layer: Sequence[Image], number: int, shifts: Sequence[Image], w
     count = np.zeros((shape[0] * bins, shape[1] * bins), np.float32)
     for there, shift in zip(layer, shifts, strict=True):
         _evening_kernels.count_samples(there, number, shift, *given, count)
-    area, sums = np.empty_like(count), np.empty((2, *shape), np.float32)
-    for_bands(_evening_kernels.share_area, len(count), count, area)
-    for_bands(_evening_kernels.sum_bins, shape[0], count, area, bins, sums)
-    around = ndimage.uniform_filter(sums, (1, SURROUNDINGS_PX, SURROUNDINGS_PX), mode="constant")
+    # A share against what is usual around does not shift weight to where fewer and fewer are seen, or to a rim.
+    per_pixel = _in_pixels(count, bins)
+    usual, area = _mean_around(_mean_around(per_pixel, USUAL_PX), USUAL_PX), np.empty_like(count)
+    for_bands(_evening_kernels.share_area, len(count), count, usual, bins, area)
+    sums = np.stack([_mean_around(each, SURROUNDINGS_PX) for each in (per_pixel, _in_pixels(count * area, bins))])
     for there, shift, weight in zip(layer, shifts, weights, strict=True):
-        for_bands(_evening_kernels.weigh_samples, len(there), there, number, shift, *given, area, around, weight)
+        for_bands(_evening_kernels.weigh_samples, len(there), there, number, shift, *given, area, sums, weight)
+
+
+def _in_pixels(values: Image, bins: int) -> Image:
+    """Return the sums over the bins of each pixel."""
+    rows, cols = (size // bins for size in values.shape)
+    return np.asarray(values.reshape(rows, bins, cols, bins).sum(axis=(1, 3)), np.float32)
+
+
+def _mean_around(values: Image, size: int) -> Image:
+    return np.asarray(ndimage.uniform_filter(values, size, mode="constant"), np.float32)

@@ -485,7 +485,7 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
 def _point_table(
     streaks: Streaks, points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
 ) -> tuple[PointTable, npt.NDArray[np.int32]]:
-    """Concatenate the points of streaks, of all variants, then the spikes; say which is each one's spike, -1 if none."""
+    """Concatenate the points of streaks, of variants, then the spikes; say which is each one's spike, -1 if none."""
     n_streaks = len(streaks.counts)
     spike_of = np.full(n_streaks + len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
     for number, spike in enumerate(spikes, start=n_streaks):
@@ -573,7 +573,11 @@ def _splat_passes(
 
 
 def _variation(
-    n_streaks: int, variants: list[Variant], spikes: list[npt.NDArray[np.float32]], table: PointTable, database: Database
+    n_streaks: int,
+    variants: list[Variant],
+    spikes: list[npt.NDArray[np.float32]],
+    table: PointTable,
+    database: Database,
 ) -> npt.NDArray[np.float32]:
     """Return the total variation of each variant's PSF without its spike, infinite where it is drawn directly."""
     stored = database.statistics()["total_variation"]
@@ -587,9 +591,7 @@ def _variation(
     return variation
 
 
-def _left_out(
-    plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant], *, stochastic: bool
-) -> list[str]:
+def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant], *, stochastic: bool) -> list[str]:
     """Name what is not needed."""
     frames = [each for each in pixel_sets if not each.is_list]
     labels = [each.labels for each in pixel_sets]

@@ -1,7 +1,7 @@
 """Streaks: what is in focus and moves is drawn along its own path, not by a cell.
 
-A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred; a texture in focus would be
-blurred across its path, and beyond its ends.
+A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred; a texture in focus would
+be blurred across its path, and beyond its ends.
 """
 
 from __future__ import annotations
