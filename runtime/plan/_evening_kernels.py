@@ -61,8 +61,8 @@ def share_area(begin, end, count, usual, bins, area):
 def weigh_samples(begin, end, layer, number, shift, bins, margin, area, sums, weight):
     """Fill ``weight`` (H, W), float32, of the samples of a layer with their areas over the mean of those around.
 
-    See `count_samples`; ``area`` is of `share_area`, ``sums`` (2, rows, cols) are the samples and their areas around each
-    pixel.
+    See `count_samples`; ``area`` is of `share_area`, ``sums`` (2, rows, cols) are the samples and their areas around
+    each pixel.
     """
     for row in range(begin, end):
         for col in range(layer.shape[1]):
