@@ -7,8 +7,10 @@ background. The pinhole frame carries the exact vectors to the previous and to t
 of 256 times in the shutter, which is open for half a frame, of 3 x 3 samples in each pixel. Columns: SSIM with
 ``curved`` paths, which use both vectors, and with ``straight`` ones along their mean, as of a frame that carries one
 vector; the gain. ``layered``: the background behind the propeller is in the input; ``blurred``: the same, everything
-out of focus by 3 px; ``single``: one layer. Writes rotation.txt, rotation.png (the figure) and rotation_pictures.png
-(layered, 60 degrees: curved, straight, the reference, 4 times the difference of the first) to benchmarks/results.
+out of focus by 3 px; ``single``: one layer; ``1 sample``, ``4 samples``: stochastic samples in each pixel, each at a
+time of its own, with the vectors of what it met. Writes rotation.txt, rotation.png (the figure) and
+rotation_pictures.png (layered, 60 degrees: curved, straight, the reference, 4 times the difference of the first) to
+benchmarks/results.
 """
 
 import argparse
@@ -25,6 +27,8 @@ import spreadlets as sp
 
 DEGREES = (10, 20, 30, 45, 60, 90)
 """Rotation per frame."""
+SAMPLES = (1, 4)
+"""Stochastic samples in a pixel."""
 TIMES = 256
 SUPERSAMPLING = 3
 BLUR = 3.0
@@ -83,7 +87,11 @@ def reference(size: int, degrees: float, shutter: tuple[float, float]) -> np.nda
 
 def motion(size: int, degrees: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the vectors (H, W, 2), px, of the propeller from the previous frame and to the next."""
-    offset = np.stack(places(size, 1)[0], axis=-1) * (size / 2)
+    return vectors_at(np.stack(places(size, 1)[0], axis=-1) * (size / 2), degrees)
+
+
+def vectors_at(offset: np.ndarray, degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors, px, at some places (..., 2), px from the propeller's middle."""
     cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     turn = np.array([[cos, -sin], [sin, cos]])
     return offset - offset @ turn, offset @ turn.T - offset
@@ -108,6 +116,28 @@ def frames(size: int, degrees: float) -> dict[str, dict[str, sp.Frame]]:
         made["layered"][name] = sp.Frame.from_layers([sp.Frame(nearer, near, **vectors), behind])
         made["single"][name] = sp.Frame(single, np.where(seen[..., 0], NEAR, FAR), **masked)
     return made
+
+
+def samples(size: int, degrees: float, count: int, shutter: tuple[float, float]) -> dict[str, sp.SampleBuffer]:
+    """Return a buffer of stochastic samples, with curved and with straight paths."""
+    rng, shape = np.random.default_rng(0), (size, size, count)
+    time, offset = rng.uniform(*shutter, shape), rng.uniform(-0.5, 0.5, (*shape, 2))
+    centre = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1)[:, :, None] + 0.5
+    x, y = np.moveaxis((centre + offset) / (size / 2) - 1, -1, 0)
+    # What a sample meets at its time lies, at the frame's, where that part of the propeller is then.
+    radius, angle = np.hypot(x, y), np.arctan2(y, x) - np.deg2rad(degrees) * time
+    met = propeller(radius, angle)
+    seen, still = met[..., 3:] > 0, np.zeros((*shape, 2))
+    colour = np.where(seen, met[..., :3], background(x, y))
+    place = radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (size / 2)
+    previous, following = (np.where(seen, vectors, 0) for vectors in vectors_at(place, degrees))
+    paths = {
+        "curved": {"motion": 0.5 * (previous + following), "motion_prev": previous, "motion_next": following},
+        "straight": {"motion": 0.5 * (previous + following)},
+    }
+    depth = np.where(seen[..., 0], NEAR, FAR)
+    given = {"radiance": colour, "depth": depth, "lens_uv": still, "time": time, "offset": offset}
+    return {name: sp.SampleBuffer(**given, **vectors) for name, vectors in paths.items()}
 
 
 def disc(radius: float) -> np.ndarray:
@@ -157,6 +187,15 @@ def measure(size: int, degrees: float, database: sp.Database, report: Report) ->
         report.row(f"{degrees} degrees per frame, {case}", found["curved"], found["straight"], gains[case], first=34)
         if degrees == SHOWN and case == "layered":
             save_pictures(RESULTS / "rotation_pictures.png", list(images.values()), expected, shrink=1)
+    for count in SAMPLES:
+        buffers = samples(size, degrees, count, camera.shutter)
+        found = {
+            name: sp.metrics.ssim(sp.reconstruct(each, camera, database, defocus=False), truth)
+            for name, each in buffers.items()
+        }
+        case = f"{count} sample{'s' if count > 1 else ''}"
+        gains[case] = found["curved"] - found["straight"]
+        report.row(f"{degrees} degrees per frame, {case}", found["curved"], found["straight"], gains[case], first=34)
     return gains
 
 

@@ -23,10 +23,12 @@ from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import frame_pixels, frame_surfaces, sample_pixels, surface_pixels
+from spreadlets.runtime.label.pixels import frame_pixels, frame_surfaces, surface_pixels
+from spreadlets.runtime.label.sampled import sample_pixels, sample_steps
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces, undivided
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.divide import divide_frames
+from spreadlets.runtime.plan.evening import evened
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import Report, Tally, plan_figures
@@ -268,10 +270,15 @@ def reconstruct(
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
         n_layers = options.layers or DEFAULT_LAYERS
+        pixel_sets = evened(pixel_sets, n_layers)
+        effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
+        drawn = sample_steps(samples, pixel_sets, camera, effects)
         plan = plan_pixels(
-            pixel_sets, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
+            drawn, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
         )
-        visibility = PassingSamples(samples, camera, pixel_sets, plan, defocus=options.defocus)
+        n_samples = samples.n_samples
+        seen = replace(plan, members=plan.members[:n_samples])
+        visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
     image = np.zeros((*samples.shape, 4), np.float32)
     _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
@@ -283,7 +290,7 @@ def reconstruct(
             plan.left_out.append("calibration")
     if options.denoise is not None:
         with clock.step("composite"):
-            image = denoise_sharp(image, _sharp_share(plan, samples.valid), options.denoise)
+            image = denoise_sharp(image, _sharp_share(seen, samples.valid), options.denoise)
     return image, Report.of(clock, plan_figures(tally, database))
 
 

@@ -14,29 +14,33 @@ STRIPE = 64
 
 
 @helper
-def _add_moments(total, weight, coc, length, motion):
+def _add_moments(total, weight, coc, path, motion):
     """Add a pixel to the sums of its layer."""
     total[0] += weight
     total[1] += weight * coc
     total[2] += weight * coc * coc
-    total[3] += weight * length * length
+    total[3] += weight * (np.float64(path[0]) ** 2 + np.float64(path[1]) ** 2)
     total[4] += weight * motion[0]
     total[5] += weight * motion[1]
 
 
 @kernel
-def layer_moments(begin, end, variant, layer, farther, coc, length, motion, total):
-    """Add to ``total`` (H, n_layers, 6), float64, what `MOMENTS` names of the pixels of each layer in each row."""
+def layer_moments(begin, end, variant, layer, farther, weight, coc, path, motion, total):
+    """Add to ``total`` (H, n_layers, 6), float64, what `MOMENTS` names of the pixels of each layer in each row.
+
+    ``weight`` is (H, W), or (0, 0) if all are 1; ``path`` and ``motion`` are (H, W, 2).
+    """
     for row in range(begin, end):
         for col in range(variant.shape[1]):
             if variant[row, col] < 0:
                 continue
             for part in range(2):
-                weight = np.float64(farther[row, col]) if part else 1.0 - np.float64(farther[row, col])
-                if weight > 0.0:
+                share = np.float64(farther[row, col]) if part else 1.0 - np.float64(farther[row, col])
+                if weight.shape[0]:
+                    share *= np.float64(weight[row, col])
+                if share > 0.0:
                     each = total[row, layer[row, col] + part]
-                    labels = np.float64(coc[row, col]), np.float64(length[row, col])
-                    _add_moments(each, weight, *labels, motion[row, col])
+                    _add_moments(each, share, np.float64(coc[row, col]), path[row, col], motion[row, col])
 
 
 @helper

@@ -13,7 +13,6 @@ from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.sweep import enlarged, reduced_blur, reduction
-from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.layering import Membership
 
@@ -44,12 +43,13 @@ class Moments(NamedTuple):
         return max(0, round(BOX_PER_DEVIATION * float(deviation) - 0.5))
 
 
-def layer_moments(labelled: Sequence[tuple[Labels, Image, Membership]], n_layers: int) -> list[Moments | None]:
-    """Return the means of each layer over sets of labels, motions (H, W, 2) and members; None for empty layers."""
+def layer_moments(labelled: Sequence[tuple[Pixels, Image, Membership]], n_layers: int) -> list[Moments | None]:
+    """Return the means of each layer over sets of pixels, motions (H, W, 2) and members; None for empty layers."""
     total = np.zeros((n_layers, len(_visibility_kernels.MOMENTS)), np.float64)
-    for labels, motion, members in labelled:
+    for pixels, motion, members in labelled:
         rows = np.zeros((len(motion), *total.shape), np.float64)
-        for_bands(_visibility_kernels.layer_moments, len(rows), *members, labels.coc, labels.length, motion, rows)
+        given = pixels.weight, pixels.labels.coc, pixels.labels.whole_path, motion
+        for_bands(_visibility_kernels.layer_moments, len(rows), *members, *given, rows)
         total += rows.sum(axis=0)
     return [_means(each) if each[0] > 0 else None for each in total]
 

@@ -11,7 +11,7 @@ from spreadlets.arrays import Image
 from spreadlets.runtime.composite import layers
 from spreadlets.runtime.composite.composite import COUNT, LEAST_SEEN, REST
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.label.pixels import sample_pixels
+from spreadlets.runtime.label.sampled import sample_pixels
 from spreadlets.runtime.plan.layering import BEHIND_ALL
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.scene.camera import ThinLens
@@ -43,7 +43,7 @@ class ShareBeyond:
         n_seen = len(covers) - n_hidden
         self.cover = layers.Cover(covers[:n_seen], covers[n_seen:], known)
         self.moments = layers.layer_moments(
-            [(each.labels, each.labels.path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
+            [(each, each.labels.whole_path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,
         )
 
@@ -54,20 +54,43 @@ class ShareBeyond:
 
 
 class PassingSamples:
-    """How many samples have passed each layer."""
+    """How many samples have passed each layer.
+
+    Parameters
+    ----------
+    samples : SampleBuffer
+    camera : ThinLens
+    pixel_sets : sequence of Pixels
+        All samples at mid-shutter, one set for each of a pixel.
+    drawn : sequence of Pixels
+        What is drawn of each of these sets.
+    plan : Plan
+        Of what is drawn.
+    defocus : bool
+        Whether that is blurred.
+    """
 
     kind = COUNT
     least = LEAST_SAMPLES
 
     def __init__(
-        self, samples: SampleBuffer, camera: ThinLens, pixel_sets: Sequence[Pixels], plan: Plan, *, defocus: bool
+        self,
+        samples: SampleBuffer,
+        camera: ThinLens,
+        pixel_sets: Sequence[Pixels],
+        drawn: Sequence[Pixels],
+        plan: Plan,
+        *,
+        defocus: bool,
     ) -> None:
         self.members = []
-        for number, members in enumerate(plan.members):
+        for number, (pixels, members) in enumerate(zip(drawn, plan.members, strict=True)):
+            # What lists draw at steps of time has been met, too.
+            variant = members.variant if pixels.curved is None else np.where(pixels.curved, 0, members.variant)
             met_nothing = samples.valid[:, :, number] & (samples.radiance[:, :, number, 3] == 0)
             layer = np.where(samples.valid[:, :, number], members.layer, np.int32(0))  # a missing one passes nothing
             layer = np.where(met_nothing, np.int32(BEHIND_ALL), layer)
-            self.members.append(members._replace(layer=layer))
+            self.members.append(members._replace(variant=variant.astype(np.int32, copy=False), layer=layer))
         self.samples, self.camera = samples, camera
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
@@ -81,7 +104,7 @@ class PassingSamples:
     def _moments(self, pixel_sets: Sequence[Pixels], n_layers: int) -> list[layers.Moments | None]:
         motion = np.ascontiguousarray(np.moveaxis(self.samples.motion, 2, 0))
         return layers.layer_moments(
-            [(each.labels, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
+            [(each, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
         )
 
     def seen(self, number: int) -> Image | None:

@@ -23,17 +23,19 @@ def coc_radii(begin, end, depth, scale, inverse_focus, coc):
 
 
 @kernel
-def count_segments(begin, end, before, after, time, tolerance, most, segments):
+def count_segments(begin, end, before, after, radius, time, tolerance, most, segments):
     """Fill ``segments`` (H, W), int32, with the number, a power of 2, of chords that follow each path closely enough.
 
     Parameters
     ----------
     before, after : ndarray of shape (H, W, 2), float32
         Motion to the frame's time and from it, px per frame.
+    radius : ndarray of shape (H, W), float32
+        CoC radii, px, >= 0.
     time : float
         Duration of the shutter, frames.
-    tolerance : float
-        Largest distance of the path from its chords, px.
+    tolerance : tuple of two floats
+        Largest distance of the path from its chords: px, or so much of the radius.
     most : int
         Largest number.
     """
@@ -43,8 +45,8 @@ def count_segments(begin, end, before, after, time, tolerance, most, segments):
             y = np.float64(after[row, col, 1]) - np.float64(before[row, col, 1])
             # A parabola is farthest from its chord at half time, by acceleration time^2 / 8; halving divides by 4.
             distance = 0.125 * time * time * math.sqrt(x * x + y * y)
-            count = 1
-            while count < most and distance > tolerance:
+            count, allowed = 1, max(tolerance[0], tolerance[1] * np.float64(radius[row, col]))
+            while count < most and distance > allowed:
                 count *= 2
                 distance *= 0.25
             segments[row, col] = count

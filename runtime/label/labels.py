@@ -102,6 +102,12 @@ class View(NamedTuple):
         return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
 
 
+def camera_view(depth: FloatArray, raster: Raster, camera: ThinLens) -> View:
+    """Return how the camera sees pixels, whose display window's width is the sensor's."""
+    mm_per_px = camera.sensor_width_mm / raster.display.width
+    return View(depth, camera.focal_length_mm / mm_per_px, mm_per_px, raster.off_middle)
+
+
 class Labels(NamedTuple):
     """What the PSF of each pixel depends on.
 
@@ -117,6 +123,8 @@ class Labels(NamedTuple):
         From the pixel to its position at mid-shutter, (dx, dy); None if the shutter is centred or nothing moves.
     view : View
         The pixels' places in space.
+    sweep : ndarray of shape (H, W, 2), float32, or None
+        Of steps of the shutter's time, the motion over all of it, px; None if `path` is that.
     """
 
     coc: FloatArray
@@ -124,6 +132,12 @@ class Labels(NamedTuple):
     length: FloatArray
     shift: FloatArray | None
     view: View
+    sweep: FloatArray | None = None
+
+    @property
+    def whole_path(self) -> FloatArray:
+        """Motion (dx, dy) over the shutter, (H, W, 2), px, also of what is drawn in steps."""
+        return self.path if self.sweep is None else self.sweep
 
 
 def _radius(labels: Labels) -> FloatArray:

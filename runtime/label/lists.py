@@ -91,6 +91,7 @@ def listed(layer: Layer, pixels: Pixels, chosen: IntArray) -> tuple[Layer, Pixel
         take(labels.length),
         None if labels.shift is None else take(labels.shift),
         view._replace(depth=part.depth, places=Places(at, view.frame_shape)),
+        None if labels.sweep is None else take(labels.sweep),
     )
     return part, Pixels(part.radiance, labels, weight, pixels.frame)
 
@@ -113,6 +114,7 @@ def joined(lists: Sequence[Pixels], frame: Image) -> Pixels:
             np.concatenate([each.length for each in labels]),
             np.concatenate([np.zeros_like(each.path) if each.shift is None else each.shift for each in labels]),
             labels[0].view._replace(depth=np.concatenate([each.view.depth for each in labels]), places=places),
+            np.concatenate([each.whole_path for each in labels]),
         ),
         np.concatenate([each.weight for each in lists]),
         frame,

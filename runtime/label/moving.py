@@ -23,9 +23,10 @@ from spreadlets.runtime.label.lists import Pixels, listed
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
-CHORD_TOLERANCE = 0.5
-"""Largest distance, px, of a curved path from the straight lines that it is drawn by."""
-MOST_CHORDS = 4
+CHORD_TOLERANCE = 0.2
+CHORD_SHARE = 0.15
+"""Largest distance of a curved path from the straight lines that it is drawn by: px, or so much of the CoC radius."""
+MOST_CHORDS = 16
 """Straight lines of a path at most; their distance falls with the square of their number."""
 MOST_STEPS = 128
 """Steps of time at most."""
@@ -63,8 +64,11 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
     """
     if not effects.swept and pixels.labels.length.any():
         # What is not swept has no path; it gets places instead.
-        still = np.zeros_like(pixels.labels.path)
-        pixels = pixels._replace(labels=pixels.labels._replace(path=still, length=np.zeros_like(pixels.labels.length)))
+        labels = pixels.labels
+        labels = labels._replace(
+            path=np.zeros_like(labels.path), length=np.zeros_like(labels.length), sweep=labels.path
+        )
+        pixels = pixels._replace(labels=labels)
     steps = _count_steps(layer, pixels, camera, effects)
     largest = 1 if steps is None else int(steps.max())
     if steps is None or largest == 1:
@@ -92,12 +96,12 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
     refocuses = effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
     if not (bends or refocuses or (moves and not effects.swept)):
         return None
-    count = np.ones(pixels.labels.coc.shape, np.int32)
+    count, radius = np.ones(pixels.labels.coc.shape, np.int32), np.abs(pixels.labels.coc)
     # Follow bends by chords, changes of blur by steps, and the ways of what is not swept by places.
     if bends:
-        limits = camera.shutter_duration, CHORD_TOLERANCE, MOST_CHORDS
-        for_bands(_label_kernels.count_segments, len(count), layer.motion_prev, layer.motion_next, *limits, count)
-    radius = np.abs(pixels.labels.coc)
+        limits = camera.shutter_duration, (CHORD_TOLERANCE, CHORD_SHARE), MOST_CHORDS
+        given = layer.motion_prev, layer.motion_next, radius
+        for_bands(_label_kernels.count_segments, len(count), *given, *limits, count)
     if refocuses:
         count = np.maximum(count, _power_of_two(_coc_range(layer, camera, effects.controls) / _coc_step(radius)))
     if moves and not effects.swept:
@@ -126,6 +130,7 @@ def _power_of_two(steps: FloatArray) -> npt.NDArray[np.int32]:
 
 def _labels_in_time(layer: Layer, labels: Labels, camera: ThinLens, effects: Effects, count: int) -> Iterator[Labels]:
     """Yield the labels of each of some equal steps of the shutter's time."""
+    labels = labels._replace(sweep=labels.whole_path)
     times = np.linspace(*camera.shutter, count + 1)
     for opens, closes in zip(times[:-1], times[1:], strict=True):
         middle = 0.5 * (opens + closes)

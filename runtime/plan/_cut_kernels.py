@@ -14,9 +14,11 @@ NOWHERE = -2.0
 
 @helper
 def _meet(first, second, meetings):
-    """Count a meeting of two places, in steps, if both are drawn."""
-    if first >= 0.0 and second >= 0.0:
-        meetings[int(min(first, second)), int(max(first, second))] += 1.0
+    """Count a meeting of two places, step and path, if both are drawn; add how their paths differ."""
+    if first[0] >= 0.0 and second[0] >= 0.0:
+        nearer, farther = int(min(first[0], second[0])), int(max(first[0], second[0]))
+        meetings[0, nearer, farther] += 1.0
+        meetings[1, nearer, farther] += math.hypot(first[1] - second[1], first[2] - second[2])
 
 
 @kernel
@@ -33,30 +35,30 @@ def count_steps(labels, at, stride, steps, position, sums, meetings, seams):
         Of the frame's rows, every so many-eth one is looked at.
     steps : tuple of two floats
         Where the first step begins in ``-1 / depth``, and steps for each of its unit.
-    position : ndarray of shape (h, W), float64
-        Where the frame's pixels lie, in steps, `NOWHERE` if they are not drawn; filled from the frame, read for a list.
-    sums : ndarray of shape (4, n), float64
-        Raised: of each step, the number of pixels, their CoC radii, and paths.
-    meetings : ndarray of shape (n, n), float64
-        Raised: numbers of pairs of pixels, (nearer, farther).
+    position : ndarray of shape (h, W, 3), float64
+        Where the frame's pixels lie, in steps, `NOWHERE` if they are not drawn; and their paths, px. Filled from the
+        frame, read for a list.
+    sums : ndarray of shape (2, n), float64
+        Raised: of each step, the number of pixels, and their CoC radii.
+    meetings : ndarray of shape (2, n, n), float64
+        Raised: numbers of pairs of pixels, (nearer, farther), and by how much their paths differ, px.
     seams : ndarray of shape (n + 1,), float64
         Raised: numbers of pairs of neighbours less than a step apart that each border of steps parts.
     """
     depth, coc, path, variant = labels
     listed, last = at.shape[0] > 0, sums.shape[1] - 0.5
+    here = np.empty(3)
     for row in range(0, depth.shape[0], 1 if listed else stride):
         for col in range(depth.shape[1]):
             if listed and at[row, col, 0] % stride:
                 continue
             # Find the pixel's step.
-            here = NOWHERE
+            here[0], here[1], here[2] = NOWHERE, path[row, col, 0], path[row, col, 1]
             if variant[row, col] >= 0:
-                here = min(max((-1.0 / np.float64(depth[row, col]) - steps[0]) * steps[1], 0.0), last)
-                step = int(here)
+                here[0] = min(max((-1.0 / np.float64(depth[row, col]) - steps[0]) * steps[1], 0.0), last)
+                step = int(here[0])
                 sums[0, step] += 1.0
                 sums[1, step] += coc[row, col]
-                sums[2, step] += path[row, col, 0]
-                sums[3, step] += path[row, col, 1]
             # Count what it meets: the frame's pixel at its place, or those before it in the row.
             if listed:
                 _meet(here, position[at[row, col, 0] // stride, at[row, col, 1]], meetings)
@@ -68,7 +70,7 @@ def count_steps(labels, at, stride, steps, position, sums, meetings, seams):
                     _meet(here, line[col - distance], meetings)
             # Count the border that parts it from its neighbour.
             if col > 0:
-                nearer, farther = min(here, line[col - 1]), max(here, line[col - 1])
+                nearer, farther = min(here[0], line[col - 1, 0]), max(here[0], line[col - 1, 0])
                 if farther - nearer < 1.0 and math.floor(farther) > math.floor(nearer):
                     seams[int(farther)] += 1.0
 

@@ -8,6 +8,7 @@ import numpy as np
 from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._display_kernels import display_slope
+from spreadlets.runtime.plan._plan_kernels import INVISIBLE
 
 NOT_ALONE = -1
 """Code of a pixel that is drawn with the PSF of its cell."""
@@ -253,7 +254,7 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
     for row in range(begin, end):
         for col in range(key.shape[1]):
             code[row, col] = NOT_ALONE
-            if key[row, col] < 0 or excess[row, col] == 0.0:
+            if key[row, col] == INVISIBLE or excess[row, col] == 0.0:
                 continue
             radius = abs(np.float64(labels.coc[row, col]))
             area = max(math.pi * radius * radius + 2.0 * radius * np.float64(labels.length[row, col]), 1.0)

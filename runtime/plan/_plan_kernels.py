@@ -9,10 +9,13 @@ import numpy.typing as npt
 from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
+from spreadlets.runtime.plan._streak_kernels import streak_code
 
 INVISIBLE = -1
 SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
+FIRST_STREAK = -2
+"""Keys of streaks, see `runtime.plan.streaks`, go down from here with their codes."""
 WIDE_EXTENT = 8.0
 """Extent of a PSF, px, above which a cell's is off by a pixel, and blocks of pixels are hidden under it."""
 BLOCK_BITS = 2
@@ -60,7 +63,9 @@ class Sizes(NamedTuple):
     share : ndarray of shape (n_axes,), float64
         How much of each coordinate adds to the PSF's extent.
     sharp_extent : float
-        The extent, px, up to which the key is `SHARP`.
+        The extent, px, up to which the key is `SHARP`; and the radius up to which what moves leaves a streak.
+    longest_streak : float
+        Largest extent of a streak along an axis, px; 0 if there are none.
     """
 
     steps_per_octave: int
@@ -68,13 +73,18 @@ class Sizes(NamedTuple):
     scaling: npt.NDArray[np.bool_]
     share: npt.NDArray[np.float64]
     sharp_extent: float
+    longest_streak: float
 
 
 class PoseLabels(NamedTuple):
-    """Vectors (dx, dy) for directions, (H, W, 2); signed CoC radii, (H, W); the model's `PoseSymmetry.codes`."""
+    """Vectors (dx, dy) for directions, (H, W, 2); signed CoC radii, (H, W); shifts (H, W, 2) or (0, 0, 2).
+
+    And the model's `PoseSymmetry.codes`.
+    """
 
     heading: FloatArray
     coc: FloatArray
+    shift: FloatArray
     codes: tuple[bool, bool, int]
 
 
@@ -173,7 +183,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
     grid : GridTables
     sizes : Sizes
     key : ndarray of shape (H, W), int64
-        Filled with ``1 + (scale step * n_spreadlets + spreadlet) * 8 + orientation``.
+        Filled with ``1 + (scale step * n_spreadlets + spreadlet) * 8 + orientation``, or `FIRST_STREAK` less a code.
     excess : ndarray of shape (H, 3), float64
         Filled with each row's largest factor by which a PSF exceeds the range, the number of such pixels, and the
         largest scale step.
@@ -196,6 +206,14 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
             if extent <= sizes.sharp_extent:
                 key[row, col] = SHARP
                 continue
+            if abs(coordinate[0][row, col]) <= sizes.sharp_extent and sizes.longest_streak > 0.0:
+                x, y = np.float64(heading[row, col, 0]), np.float64(heading[row, col, 1])
+                if max(abs(x), abs(y)) <= sizes.longest_streak:
+                    across, down = 0.0, 0.0
+                    if len(pose.shift):
+                        across, down = np.float64(pose.shift[row, col, 0]), np.float64(pose.shift[row, col, 1])
+                    key[row, col] = FIRST_STREAK - streak_code(x, y, across, down, sizes.longest_streak)
+                    continue
             step = 0
             shrink = 1.0
             if factor > 1.0:
@@ -244,21 +262,21 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
 
 
 @kernel
-def mark_keys(begin, end, key, place):
-    """Set ``place`` (n_keys,), int32, to 0 for each key in use."""
+def mark_keys(begin, end, key, lowest, place):
+    """Set ``place`` (n_keys,), int32, to 0 for each key in use, counted from the lowest."""
     # Threads may write the same place, but nothing else than 0.
     for row in range(begin, end):
         for col in range(key.shape[1]):
-            if key[row, col] >= 0:
-                place[key[row, col]] = 0
+            if key[row, col] != INVISIBLE:
+                place[key[row, col] - lowest] = 0
 
 
 @kernel
-def replace_keys(begin, end, key, place, label):
+def replace_keys(begin, end, key, lowest, place, label):
     """Fill ``label`` (H, W), int32, with the place of each pixel's key, -1 where invisible."""
     for row in range(begin, end):
         for col in range(key.shape[1]):
-            label[row, col] = place[key[row, col]] if key[row, col] >= 0 else -1
+            label[row, col] = place[key[row, col] - lowest] if key[row, col] != INVISIBLE else -1
 
 
 @kernel

@@ -42,15 +42,15 @@ class Steps(NamedTuple):
         The same of the pairs of neighbours on one surface that each border of steps parts.
     coc : ndarray of shape (n,), float64
         Mean CoC radius of each step, px; 0 where it is empty.
-    path : ndarray of shape (n, 2), float64
-        Mean path, px.
+    apart : ndarray of shape (n, n), float64
+        By how much the paths of the pairs differ in the mean, px.
     """
 
     filled: BoolArray
     meetings: DoubleArray
     seams: DoubleArray
     coc: DoubleArray
-    path: DoubleArray
+    apart: DoubleArray
 
 
 def find_steps(
@@ -68,12 +68,12 @@ def find_steps(
     lists : sequence of (labels, variant)
         Of lists of pixels, which meet the first frame's.
     """
-    sums, meetings, seams = np.zeros((4, n_steps)), np.zeros((n_steps, n_steps)), np.zeros(n_steps + 1)
+    sums, meetings, seams = np.zeros((2, n_steps)), np.zeros((2, n_steps, n_steps)), np.zeros(n_steps + 1)
     # Thin the rows of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
     steps, counted = (low, n_steps / (high - low)), (sums, meetings, seams)
     # Count which steps meet along a row, and which borders part neighbours.
-    positions = [np.empty((-(-len(variant) // stride), variant.shape[1])) for _, variant in frames]
+    positions = [np.empty((-(-len(variant) // stride), variant.shape[1], 3)) for _, variant in frames]
     for (labels, variant), position in zip(frames, positions, strict=True):
         _cut_kernels.count_steps(_planes(labels, variant), EVERYWHERE, stride, steps, position, *counted)
     # Count which steps meet between the passes.
@@ -84,20 +84,21 @@ def find_steps(
         assert labels.view.places is not None, "only lists have places"
         _cut_kernels.count_steps(_planes(labels, variant), labels.view.places.at, stride, steps, positions[0], *counted)
     n_pairs = max(len(_cut_kernels.DISTANCES) * sums[0].sum(), 1.0)
-    coc, *path = sums[1:] / np.maximum(sums[0], 1.0)
-    return Steps(sums[0] > 0, meetings / n_pairs, seams / n_pairs, coc, np.stack(path, axis=1))
+    coc, apart = sums[1] / np.maximum(sums[0], 1.0), meetings[1] / np.maximum(meetings[0], 1.0)
+    return Steps(sums[0] > 0, meetings[0] / n_pairs, seams / n_pairs, coc, apart)
 
 
 def _planes(labels: Labels, variant: npt.NDArray[np.int32]) -> tuple[Image, Image, Image, npt.NDArray[np.int32]]:
-    return labels.view.depth, labels.coc, labels.path, variant
+    return labels.view.depth, labels.coc, labels.whole_path, variant
 
 
 def _add_meetings(first: DoubleArray, second: DoubleArray, meetings: DoubleArray) -> None:
     """Add the pairs of steps of pixels that both are drawn, by their positions."""
-    both = (first >= 0) & (second >= 0)
-    nearer, farther = (each(first, second)[both].astype(np.int64) for each in (np.minimum, np.maximum))
-    n_steps = len(meetings)
-    meetings += np.bincount(nearer * n_steps + farther, minlength=n_steps**2).reshape(meetings.shape)
+    both = (first[..., 0] >= 0) & (second[..., 0] >= 0)
+    nearer, farther = (each(first[both, 0], second[both, 0]).astype(np.int64) for each in (np.minimum, np.maximum))
+    apart, n_steps = np.hypot(*(first[both, 1:] - second[both, 1:]).T), meetings.shape[1]
+    for counted, weights in zip(meetings, (None, apart), strict=True):
+        counted += np.bincount(nearer * n_steps + farther, weights, n_steps**2).reshape(counted.shape)
 
 
 def best_cuts(steps: Steps, most_layers: int) -> DoubleArray:
@@ -151,10 +152,11 @@ def _amid_empty(cuts: IntArray, filled: BoolArray) -> DoubleArray:
 def _harm(steps: Steps) -> DoubleArray:
     """Return how much two steps in one layer harm each other, px: more where one is sharp and the other wide.
 
-    What counts is how their CoC radii differ; or their paths, in a frame that these blur more differently.
+    What counts is how their CoC radii differ; or their paths where they meet, in a frame that these blur more
+    differently.
     """
     apart = np.abs(steps.coc[:, None] - steps.coc)
-    along = PATH_RADIUS * np.hypot(*(steps.path[:, None] - steps.path).transpose(2, 0, 1))
+    along = PATH_RADIUS * np.where(np.eye(len(steps.coc)), 0.0, steps.apart)
     sharper = np.minimum(*np.abs(np.broadcast_arrays(steps.coc[:, None], steps.coc)))
     if along.max() > apart.max():
         apart, sharper = along, np.zeros_like(along)

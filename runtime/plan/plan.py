@@ -25,18 +25,21 @@ from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._border_kernels import Colours
-from spreadlets.runtime.plan._plan_kernels import GridTables, PixelPlaces, PoseLabels, Sizes
+from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_colours, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
+from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
+UNMOVED = np.zeros((0, 0, 2), np.float32)
+"""The shift of pixels that are drawn where they are."""
 SCALE_STEPS_PER_OCTAVE = 16
 """Sizes at which a PSF beyond the database's range is drawn: steps of 4.4 %, about a cell's own width."""
 N_SCALES = 3 * SCALE_STEPS_PER_OCTAVE + 1
@@ -126,6 +129,8 @@ class _Choice(NamedTuple):
     indices : list of ndarray of shape (H, W), int32
         For each set, the number of each pixel's variant; -1 where nothing is drawn.
     variants : list of Variant
+        Those behind the streaks.
+    n_streaks : int
     highlights : Highlights
     table : PointTable
         As in `Plan`.
@@ -137,10 +142,16 @@ class _Choice(NamedTuple):
 
     indices: list[npt.NDArray[np.int32]]
     variants: list[Variant]
+    n_streaks: int
     highlights: Highlights
     table: PointTable
     spike_of: npt.NDArray[np.int32]
     variation: npt.NDArray[np.float32]
+
+    @property
+    def n_variants(self) -> int:
+        """Number of variants without highlights and spikes."""
+        return self.n_streaks + len(self.variants)
 
 
 class _Part(NamedTuple):
@@ -237,7 +248,7 @@ def plan_pixels(
     plan = Plan(
         sources=sources,
         table=chosen.table,
-        n_variants=len(chosen.variants),
+        n_variants=chosen.n_variants,
         n_layers=n_layers,
         members=members,
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
@@ -246,7 +257,7 @@ def plan_pixels(
         lay_out=lay_out,
         error_bound=error_bound,
     )
-    plan.left_out = _left_out(plan, pixel_sets, chosen.variants)
+    plan.left_out = _left_out(plan, pixel_sets, chosen.variants, stochastic=stochastic)
     return plan
 
 
@@ -273,18 +284,16 @@ def _choose(
             _shared_keys(each, database.grid, database.cell_start, key, own, _bright(each)) for each, key, own in sets
         )
     # Number the variants in use.
-    used, place = _used_keys(keys)
-    indices = [np.empty(key.shape, np.int32) for key in keys]
-    for key, index in zip(keys, indices, strict=True):
-        for_bands(_plan_kernels.replace_keys, len(key), key, place, index)
-    variants = [_decode(int(each), database.cell_start) for each in used]
+    used, indices = _numbered(keys)
+    streaks = FIRST_STREAK - used[used <= FIRST_STREAK]
+    variants = [_decode(int(each), database.cell_start) for each in used[len(streaks) :]]
     # Collect the points of all.
     parts = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
-    table, spike_of = _point_table(points, spikes, database.n_channels)
-    variation = _variation(variants, spikes, table, database)
+    table, spike_of = _point_table(draw_streaks(streaks, database.grid.model), points, spikes, database.n_channels)
+    variation = _variation(len(streaks), variants, spikes, table, database)
     table = replace(table, group=_groups(table.direct, variation, tolerance))
-    return _Choice(indices, variants, highlights, table, spike_of, variation)
+    return _Choice(indices, variants, len(streaks), highlights, table, spike_of, variation)
 
 
 def _divide(
@@ -320,13 +329,14 @@ def _lay_out(
     """Lay out what to draw, as `Plan.sources`, and bound the error of drawing blocks of pixels as one."""
     table, highlights = chosen.table, chosen.highlights
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
+    wide[: chosen.n_streaks] = True  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
     beyond = _border_colours(pixel_sets) if border else [None] * len(pixel_sets)
     parts = _all_parts(highlights.dimmed(pixel_sets), members, beyond, n_layers, table.n_variants)
     splats = list(_splat_passes(parts, pixel_sets[0].labels.view.frame_shape, table, n_layers, wide))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
-    own = highlights.splats(pixel_sets, members, table, len(chosen.variants), wide)
+    own = highlights.splats(pixel_sets, members, table, chosen.n_variants, wide)
     variation = np.tile(chosen.variation, n_layers)
     merged = [merge_blocks(each, variation, tolerance) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
@@ -396,9 +406,10 @@ class _Given(NamedTuple):
         share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
         # Where more than lens and motion blurs, no PSF stays within its pixel.
         sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
-        sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent)
+        sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent, longest_streak(model))
         heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
-        pose = PoseLabels(heading, labels.coc, model.symmetry.codes)
+        shift = UNMOVED if labels.shift is None else np.ascontiguousarray(labels.shift)
+        pose = PoseLabels(heading, labels.coc, shift, model.symmetry.codes)
         shape = np.array(grid.shape, np.int64)
         return cls(coordinate, pose, GridTables(grid.remap, shape, nested.unit_cell, nested.bounds, cell_start), sizes)
 
@@ -425,14 +436,20 @@ def _coordinates(labels: Labels, grid: PsfGrid) -> tuple[npt.NDArray[np.float32]
     return found
 
 
-def _used_keys(keys: Sequence[npt.NDArray[np.int64]]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
-    """Return the keys in use, ascending; and for each key its place among them, -1 if not in use."""
-    place = np.full(1 + max(0, *(int(key.max()) for key in keys)), -1, np.int32)
+def _numbered(
+    keys: Sequence[npt.NDArray[np.int64]],
+) -> tuple[npt.NDArray[np.int64], list[npt.NDArray[np.int32]]]:
+    """Return the keys in use, ascending; and for each set the number of each pixel's key, -1 where invisible."""
+    lowest, highest = (int(pick([pick(key) for key in keys] + [0])) for pick in (np.min, np.max))
+    place = np.full(1 + highest - lowest, -1, np.int32)
     for key in keys:
-        for_bands(_plan_kernels.mark_keys, len(key), key, place)
+        for_bands(_plan_kernels.mark_keys, len(key), key, lowest, place)
     used = np.flatnonzero(place == 0)
     place[used] = np.arange(len(used))
-    return used, place
+    indices = [np.empty(key.shape, np.int32) for key in keys]
+    for key, index in zip(keys, indices, strict=True):
+        for_bands(_plan_kernels.replace_keys, len(key), key, lowest, place, index)
+    return used + lowest, indices
 
 
 def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
@@ -466,20 +483,22 @@ def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
 
 
 def _point_table(
-    points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
+    streaks: Streaks, points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
 ) -> tuple[PointTable, npt.NDArray[np.int32]]:
-    """Concatenate the points of all variants, then the spikes; say which variant each one's spike is, -1 if none."""
-    spike_of = np.full(len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
-    for number, spike in enumerate(spikes):
+    """Concatenate the points of streaks, of variants, then the spikes; say which is each one's spike, -1 if none."""
+    n_streaks = len(streaks.counts)
+    spike_of = np.full(n_streaks + len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
+    for number, spike in enumerate(spikes, start=n_streaks):
         if spike.any():
-            spike_of[number] = len(points)
+            spike_of[number] = n_streaks + len(points)
             points = [*points, (np.zeros((1, 2), np.int32), spike[None], True)]
     counts = [len(offset_rc) for offset_rc, _, _ in points]
+    lines = streaks.value if n_streaks else np.zeros((0, n_channels), np.float32)
     return PointTable(
-        np.concatenate([np.zeros((0, 2), np.int32), *(offset_rc for offset_rc, _, _ in points)]),
-        np.concatenate([np.zeros((0, n_channels), np.float32), *(value for _, value, _ in points)]),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        np.where([direct for _, _, direct in points], DIRECT, 0).astype(np.int64),
+        np.concatenate([streaks.offset_rc, *(offset_rc for offset_rc, _, _ in points)]),
+        np.concatenate([lines, *(value for _, value, _ in points)]),
+        np.concatenate([[0], np.cumsum([*streaks.counts, *counts])]).astype(np.int64),
+        np.where([True] * n_streaks + [direct for _, _, direct in points], DIRECT, 0).astype(np.int64),
     ), spike_of
 
 
@@ -554,21 +573,25 @@ def _splat_passes(
 
 
 def _variation(
-    variants: list[Variant], spikes: list[npt.NDArray[np.float32]], table: PointTable, database: Database
+    n_streaks: int,
+    variants: list[Variant],
+    spikes: list[npt.NDArray[np.float32]],
+    table: PointTable,
+    database: Database,
 ) -> npt.NDArray[np.float32]:
     """Return the total variation of each variant's PSF without its spike, infinite where it is drawn directly."""
     stored = database.statistics()["total_variation"]
     variation = np.full(table.n_variants, np.inf, np.float32)
-    for number, variant in enumerate(variants):
+    for number, variant in enumerate(variants, start=n_streaks):
         if not table.direct[number]:
             # A PSF stretched by s is lower by s^2 and its outline longer by s.
             whole = stored[database.cell_start[variant.cell] + variant.pose] / variant.scale
             # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
-            variation[number] = max(whole - 4.0 * spikes[number].min(), 0.0)
+            variation[number] = max(whole - 4.0 * spikes[number - n_streaks].min(), 0.0)
     return variation
 
 
-def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant]) -> list[str]:
+def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant], *, stochastic: bool) -> list[str]:
     """Name what is not needed."""
     frames = [each for each in pixel_sets if not each.is_list]
     labels = [each.labels for each in pixel_sets]
@@ -576,7 +599,7 @@ def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant])
         "empty pixels": plan.pixels_skipped > 0,
         "motion": not any(each.length.any() for each in labels),
         "curved motion": all(each.curved is None for each in frames),
-        "blended depths": not any(_is_shared(each) for each in frames),
+        "blended depths": stochastic or not any(_is_shared(each) for each in frames),
         "defocus": not any(each.coc.any() for each in labels),
         "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),

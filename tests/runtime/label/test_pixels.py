@@ -3,7 +3,8 @@ import pytest
 
 import spreadlets as sp
 from spreadlets.runtime.label._label_kernels import path_places
-from spreadlets.runtime.label.pixels import frame_pixels, sample_pixels
+from spreadlets.runtime.label.pixels import frame_pixels
+from spreadlets.runtime.label.sampled import sample_pixels
 
 
 def place(before, after, time):

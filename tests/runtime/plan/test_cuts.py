@@ -74,13 +74,21 @@ def test_without_defocus_the_motion_tells_where_to_cut():
         assert Layering.fitted([(labels, np.zeros(depth.shape, np.int32))], 12, 0.0).n_layers == count
 
 
+def test_paths_that_cancel_in_the_mean_part_surfaces_where_they_meet():
+    depth = np.where(blocks([[0, 1], [1, 0]]) > 0, 2.0, 8.0).astype(np.float32)
+    across = np.where(np.arange(16) % 8 < 4, 20.0, -20.0) * (depth == 2.0)
+    path = np.stack([across, np.zeros_like(across)], axis=-1).astype(np.float32)
+    labels = Labels(np.zeros_like(depth), path, np.abs(path[..., 0]), None, View(depth, 1.0, 1.0))
+    assert Layering.fitted([(labels, np.zeros(depth.shape, np.int32))], 12, 0.0).n_layers == 2
+
+
 def test_the_partition_is_the_best_of_all(monkeypatch):
     monkeypatch.setattr(cuts, "LEAST_GAIN", 0.0)
     rng = np.random.default_rng(1)
     n = 9
     meetings = np.triu(rng.random((n, n)), 1) / 40
     coc, seams = np.sort(rng.uniform(-9, 9, n)), rng.random(n + 1) / 20
-    steps = Steps(np.ones(n, bool), meetings, seams, coc, np.zeros((n, 2)))
+    steps = Steps(np.ones(n, bool), meetings, seams, coc, np.zeros((n, n)))
     apart = np.abs(coc[:, None] - coc)
     harm = meetings * apart**2 / (1 + apart + np.minimum(*np.abs(np.broadcast_arrays(coc[:, None], coc))))
 

@@ -160,11 +160,26 @@ def test_the_box_spreads_as_far_as_the_psf(radius, length):
 def test_moments_are_weighted_means_and_empty_layers_have_none():
     labels = labels_of(np.ones((1, 3)), coc=[[2.0, -4.0, 100.0]], path=(3.0, 4.0))
     members = Membership(np.array([[0, 0, -1]], np.int32), np.array([[0, 1, 0]], np.int32), np.float32([[0.25, 0, 0]]))
-    first, second, third = layer_moments([(labels, labels.path, members)], 3)
+    first, second, third = layer_moments([(Pixels(np.ones((1, 3, 4), np.float32), labels), labels.path, members)], 3)
     assert third is None
     assert (first.coc, first.coc_squared, first.length_squared, first.motion) == (2.0, 4.0, 25.0, (3.0, 4.0))
     assert second.coc == pytest.approx((0.25 * 2 - 4) / 1.25)
     assert second.coc_squared == pytest.approx((0.25 * 4 + 16) / 1.25)
+
+
+def test_steps_of_time_count_with_their_whole_path_and_their_share():
+    labels = labels_of(np.ones((1, 2)), path=(1.0, 0.0))._replace(sweep=np.full((1, 2, 2), (6.0, 8.0), np.float32))
+    members = Membership(*np.zeros((2, 1, 2), np.int32), np.zeros((1, 2), np.float32))
+    whole = labels_of(np.ones((1, 2)), path=(0.0, 0.0))
+    sets = [(labels, 0.25), (whole, 0.75)]
+    (found,) = layer_moments(
+        [
+            (Pixels(np.ones((1, 2, 4), np.float32), each, np.full((1, 2), share, np.float32)), each.whole_path, members)
+            for each, share in sets
+        ],
+        1,
+    )
+    assert (found.length_squared, found.motion) == (25.0, (1.5, 2.0))
 
 
 # --- how much of a layer was seen

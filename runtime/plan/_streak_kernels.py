@@ -1,0 +1,84 @@
+"""Compiled kernels of streaks: the lines that points in focus leave while the shutter is open."""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+
+STEPS_PER_PX = 2
+"""Paths are rounded to half pixels, which moves their ends by an eighth of one at most."""
+MIDDLES_PER_PX = 4
+N_MIDDLES = MIDDLES_PER_PX + 1
+"""The middle of a path, which lies within half a pixel of a pixel's centre, is rounded to quarters."""
+SAMPLES_PER_PX = 8
+"""Moments of a path within a pixel; each is split over four pixels, bilinearly."""
+
+
+@helper(inline="always")
+def streak_code(x, y, across, down, longest):
+    """Return the code of a path (x, y), px, up to the longest along an axis, whose middle is shifted by so much."""
+    most = int(STEPS_PER_PX * longest)
+    code = int(np.rint(STEPS_PER_PX * y)) + most
+    code = code * (2 * most + 1) + int(np.rint(STEPS_PER_PX * x)) + most
+    # The whole pixels of the shift are not in the code.
+    code = code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (down - np.rint(down)))) + N_MIDDLES // 2
+    return code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (across - np.rint(across)))) + N_MIDDLES // 2
+
+
+@kernel
+def draw_streaks(begin, end, code, longest, openness, start, offset_rc, value):
+    """Count the pixels of streaks, or list them with their shares of the light, by row.
+
+    Parameters
+    ----------
+    code : ndarray of shape (n,), int64
+    longest : float
+        As for `streak_code`.
+    openness : ndarray of shape (m,), float64
+        How far the shutter is open, at equally spaced times from opening to closing.
+    start : ndarray of shape (n,), int64
+        Where the pixels of each streak go in the lists; filled with their numbers if the lists are empty.
+    offset_rc : ndarray of shape (n_points, 2), int32
+        Filled with the pixels' rows and columns, from the one that the middle was rounded to.
+    value : ndarray of shape (n_points, 1), float32
+        Filled with their shares of the light, of sum 1.
+    """
+    most = int(STEPS_PER_PX * longest)
+    for i in range(begin, end):
+        rest, right = divmod(code[i], N_MIDDLES)
+        rest, below = divmod(rest, N_MIDDLES)
+        down, across = divmod(rest, 2 * most + 1)
+        y, x = (down - most) / STEPS_PER_PX, (across - most) / STEPS_PER_PX
+        reach_x, reach_y = int(0.5 * abs(x)) + 2, int(0.5 * abs(y)) + 2
+        light = np.zeros((2 * reach_y + 2, 2 * reach_x + 2))
+        middle_x = (right - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_x
+        middle_y = (below - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_y
+        # Split the light of each moment over the four pixels around its place.
+        n_samples = int(SAMPLES_PER_PX * max(abs(x), abs(y))) + 1
+        total = 0.0
+        for k in range(n_samples):
+            time = (k + 0.5) / n_samples
+            at = time * (len(openness) - 1)
+            before = min(int(at), len(openness) - 2)
+            share = openness[before] + (at - before) * (openness[before + 1] - openness[before])
+            place_y, place_x = middle_y + (time - 0.5) * y, middle_x + (time - 0.5) * x
+            row, col = int(math.floor(place_y)), int(math.floor(place_x))
+            part_y, part_x = place_y - row, place_x - col
+            light[row, col] += share * (1.0 - part_y) * (1.0 - part_x)
+            light[row, col + 1] += share * (1.0 - part_y) * part_x
+            light[row + 1, col] += share * part_y * (1.0 - part_x)
+            light[row + 1, col + 1] += share * part_y * part_x
+            total += share
+        # List what it falls on.
+        n_points = 0
+        for row in range(light.shape[0]):
+            for col in range(light.shape[1]):
+                if light[row, col] > 0.0:
+                    if len(value):
+                        place = start[i] + n_points
+                        offset_rc[place, 0], offset_rc[place, 1] = row - reach_y, col - reach_x
+                        value[place, 0] = light[row, col] / total
+                    n_points += 1
+        if not len(value):
+            start[i] = n_points

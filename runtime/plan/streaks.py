@@ -1,0 +1,64 @@
+"""Streaks: what is in focus and moves is drawn along its own path, not by a cell.
+
+A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred; a texture in focus would
+be blurred across its path, and beyond its ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import Image, IntArray
+from spreadlets.parallel import for_bands
+from spreadlets.psf.model import PsfModel
+from spreadlets.runtime.plan import _streak_kernels
+
+BOX_SHUTTER = (1.0, 1.0)
+"""How far a shutter without a curve is open, from opening to closing."""
+
+
+def longest_streak(model: PsfModel) -> float:
+    """Return the largest extent of a streak along an axis, px; 0 if the model is not of a thin lens with motion."""
+    return float(model.axes[1].maximum) if model.name == "combined" else 0.0
+
+
+class Streaks(NamedTuple):
+    """The pixels that some streaks cover.
+
+    Attributes
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+        Rows and columns from the pixel, those of a streak sorted by row.
+    value : ndarray of shape (n_points, 1), float32
+        Shares of the light, for each streak of sum 1.
+    counts : ndarray of shape (n,), int64
+        Numbers of points of each streak.
+    """
+
+    offset_rc: npt.NDArray[np.int32]
+    value: Image
+    counts: IntArray
+
+
+def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
+    """Return the pixels that streaks cover.
+
+    Parameters
+    ----------
+    codes : ndarray of shape (n,), int64
+        See `runtime.plan._streak_kernels.streak_code`.
+    model : PsfModel
+        Of a thin lens with motion, if there are any.
+    """
+    curve = model.settings.get("shutter_curve")
+    given = codes, longest_streak(model), np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
+    counts = np.zeros(len(codes), np.int64)
+    nothing = np.zeros((0, 2), np.int32), np.zeros((0, 1), np.float32)
+    for_bands(_streak_kernels.draw_streaks, len(codes), *given, counts, *nothing)
+    start = np.cumsum(counts) - counts
+    offset_rc, value = np.empty((counts.sum(), 2), np.int32), np.empty((counts.sum(), 1), np.float32)
+    for_bands(_streak_kernels.draw_streaks, len(codes), *given, start, offset_rc, value)
+    return Streaks(offset_rc, value, counts)

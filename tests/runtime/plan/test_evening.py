@@ -1,0 +1,61 @@
+"""Samples weighed by the area that they stand for."""
+
+import numpy as np
+import pytest
+
+from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.label.lists import Pixels
+from spreadlets.runtime.plan.evening import evened
+
+SIZE = 96
+
+
+def scattered(rng, n_samples=1, depth=2.0):
+    """Sets of samples that lie anywhere within 6 px of their pixels."""
+    nothing = np.zeros((SIZE, SIZE), np.float32)
+    view = View(np.broadcast_to(np.float32(depth), nothing.shape).copy(), 1.0, 1.0)
+    shifts = rng.uniform(-6, 6, (n_samples, SIZE, SIZE, 2)).astype(np.float32)
+    still = np.zeros((SIZE, SIZE, 2), np.float32)
+    return [Pixels(np.ones((SIZE, SIZE, 4), np.float32), Labels(nothing, still, nothing, s, view)) for s in shifts]
+
+
+def noise(sets, side=4):
+    """Relative deviation of the weights that fall into squares of some px."""
+    count = np.zeros((SIZE // side, SIZE // side))
+    for each in sets:
+        place = np.indices((SIZE, SIZE)).transpose(1, 2, 0) + 0.5 + each.labels.shift[..., ::-1]
+        at = np.floor(place / side).astype(int)
+        inside = ((at >= 0) & (at < len(count))).all(axis=2)
+        weight = each.weight if len(each.weight) else np.ones((SIZE, SIZE), np.float32)
+        np.add.at(count, tuple(at[inside].T), weight[inside])
+    inner = count[3:-3, 3:-3]
+    return inner.std() / inner.mean()
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("n_samples", [1, 4])
+def test_random_samples_are_evened(n_samples):
+    sets = scattered(np.random.default_rng(0), n_samples)
+    assert noise(evened(sets, 1)) < 0.75 * noise(sets)
+
+
+@pytest.mark.interpreted
+def test_samples_that_lie_evenly_keep_their_weight():
+    (pixels,) = scattered(np.random.default_rng(0))
+    still = pixels._replace(labels=pixels.labels._replace(shift=np.zeros((SIZE, SIZE, 2), np.float32)))
+    (found,) = evened([still], 1)
+    assert found.weight[12:-12, 12:-12] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_surface_keeps_its_share_of_what_was_seen():
+    depth = np.where(np.arange(SIZE) % 12 < 3, 2.0, 8.0)
+    sets = scattered(np.random.default_rng(0), 4, depth)
+    near = np.broadcast_to(depth == 2.0, (SIZE, SIZE))
+    assert sum(each.weight[near].sum() for each in evened(sets, 4)) == pytest.approx(4 * near.sum(), rel=0.03)
+
+
+def test_what_met_nothing_keeps_its_weight_and_counts_for_none():
+    (pixels,) = scattered(np.random.default_rng(0))
+    pixels.radiance[:, ::2] = 0.0
+    (found,) = evened([pixels], 1)
+    assert (found.weight[:, ::2] == 1.0).all() and found.weight[:, 1::2].std() > 0.1

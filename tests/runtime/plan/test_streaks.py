@@ -1,0 +1,57 @@
+"""Streaks against lines drawn by many points, and where they are used."""
+
+import numpy as np
+import pytest
+
+import spreadlets as sp
+from spreadlets.psf.model import get_model
+from spreadlets.runtime.plan._streak_kernels import streak_code
+from spreadlets.runtime.plan.streaks import draw_streaks, longest_streak
+
+CAMERA = sp.ThinLens(50.0, 36.0, 1e6, 4.0, shutter=(-0.5, 0.5))
+SIZE = 48
+CODE = getattr(streak_code, "py_func", streak_code)
+"""Helpers have no entrance from Python but their source."""
+
+
+def drawn(path, shift=(0.0, 0.0), curve=None):
+    """The image (41, 41) of one streak about its pixel, and the sum of its points."""
+    model = get_model("combined", settings={} if curve is None else {"shutter_curve": curve})
+    streaks = draw_streaks(np.array([CODE(*path, *shift, longest_streak(model))]), model)
+    image = np.zeros((41, 41))
+    image[tuple(streaks.offset_rc.T + 20)] = streaks.value[:, 0]
+    return image
+
+
+def centre(image):
+    return [float((image * np.indices(image.shape)[axis]).sum()) - 20.0 for axis in (1, 0)]
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("path", [(0.5, 0.0), (12.0, 5.0), (-3.5, 20.0)])
+def test_a_streak_is_as_long_as_its_path_and_keeps_all_light(path):
+    image = drawn(path)
+    assert image.sum() == pytest.approx(1.0, abs=1e-6)
+    assert centre(image) == pytest.approx([0.0, 0.0], abs=1e-5)
+    # A line of length l has the variance l^2 / 12; a tent adds a third at most, along each axis.
+    for axis, length in ((1, path[0]), (0, path[1])):
+        variance = float((image * (np.indices(image.shape)[axis] - 20.0) ** 2).sum())
+        assert length**2 / 12 - 0.01 <= variance <= length**2 / 12 + 0.34
+
+
+@pytest.mark.interpreted
+def test_the_part_of_a_pixel_that_a_streak_is_shifted_by_is_in_it():
+    assert centre(drawn((6.0, 2.0), (3.25, -1.5))) == pytest.approx([0.25, 0.5], abs=1e-5)
+
+
+@pytest.mark.interpreted
+def test_a_shutter_that_opens_slowly_shows_more_of_the_end():
+    assert centre(drawn((12.0, 0.0), curve=[0.0, 1.0]))[0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_what_moves_in_focus_is_not_blurred_across_its_path(small_combined):
+    radiance = np.zeros((SIZE, SIZE, 3), np.float32)
+    radiance[::2] = 1.0
+    motion = np.full((SIZE, SIZE, 2), (12.0, 0.0), np.float32)
+    image = sp.synthesize(sp.Frame(radiance, np.full((SIZE, SIZE), 4.0), motion), CAMERA, small_combined)
+    assert np.abs(image[8:-8, 8:-8, 0] - radiance[8:-8, 8:-8, 0]).max() < 1e-3
