@@ -239,6 +239,10 @@ def planar_samples(
 # --- Motion --------------------------------------------------------------------------------------------------------
 
 
+LEAST_APPROACH = 0.1
+"""Share of its depth that is left of it after a frame, at least, of what moves towards the camera."""
+
+
 @dataclass(frozen=True)
 class MotionConvention:
     """How a renderer's motion channels become px per frame, y down, forward in time.
@@ -381,7 +385,8 @@ def motion_labels(
     Returns
     -------
     dict of str to ndarray of shape (H, W, 2), float32
-        px per frame, y down, forward in time.
+        px per frame, y down, forward in time. From a velocity in space that is not all parallel to the image, also
+        `depth_prev` and `depth_next`, (H, W), metres.
 
     Raises
     ------
@@ -392,7 +397,7 @@ def motion_labels(
     if convention.unit == "space":
         if shape is not None:
             raise InvalidParameterError(f"{option('motion_convention')} {name} is for flat images only")
-        return {"motion": _projected(channels, depth, scale)}
+        return {"motion": _projected(channels, depth, scale), **_depths_around(channels, depth, scale)}
     unit = MOTION_UNITS[convention.unit]
     values = channels if unit == MotionUnit() else np.float32(unit.step) * channels - np.float32(unit.zero)
     factors = _px_per_unit(name, shape or channels.shape[:2], scale)
@@ -470,6 +475,16 @@ def _projected(velocity: FloatArray, depth: FloatArray, scale: Scale) -> FloatAr
     with np.errstate(invalid="ignore"):  # empty pixels may hold anything; visible ones are checked by `Frame`
         dx, dy = (focal_px * vx - x * vz) / z, (-focal_px * vy - y * vz) / z
         return np.stack([dx, dy * scale.raster_of(depth.shape).pixel_aspect], axis=2).astype(np.float32)
+
+
+def _depths_around(velocity: FloatArray, depth: FloatArray, scale: Scale) -> dict[str, FloatArray]:
+    """Return the depths one frame before and after of points that move in space; none if all keep theirs."""
+    away = velocity[..., 2::3].sum(axis=2, dtype=np.float64) * abs(scale.depth_scale)
+    if not np.nan_to_num(away).any():
+        return {}
+    # What passes the camera within a frame is held before it.
+    before, after = (np.maximum(depth + way, LEAST_APPROACH * depth) for way in (-away, away))
+    return {"depth_prev": before.astype(np.float32), "depth_next": after.astype(np.float32)}
 
 
 def _unprojected(motion: FloatArray, depth: FloatArray, scale: Scale) -> FloatArray:

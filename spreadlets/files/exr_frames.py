@@ -51,6 +51,7 @@ from spreadlets.files.exr_parts import (
 )
 from spreadlets.files.luminance import with_rgb
 from spreadlets.files.recognise import (
+    AROUND,
     Colour,
     Found,
     Passes,
@@ -230,7 +231,8 @@ def write_frame(
         Where to write; an existing file is replaced.
     frame : Frame
         Stored as 32-bit floats R, G, B, A, Z, and motion.x, motion.y (px per frame, y down, forward) where the frame
-        has motion, with motion_prev and motion_next for a curved path; several layers as parts layer0, layer1, ...
+        has motion, with motion_prev and motion_next for a curved path, and depth_prev and depth_next where it moves in
+        depth; several layers as parts layer0, layer1, ...
     preset : str, optional
         Store one layer as this renderer does, a key of `conventions.PRESETS`, with the first depth and motion
         convention of its row.
@@ -434,6 +436,10 @@ def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
         if found.motion is not None:
             channels = _label("motion", found.motion, found.colour.image, raster.data)
             labels = motion_labels(found.motion.convention, channels, planar, scale)
+        if found.around is not None:
+            channels = _label("depth", found.around, found.colour.image, raster.data, 1.0)
+            convention = found.around.convention
+            labels |= {name: planar_depth(convention, channels[..., k], scale) for k, name in enumerate(AROUND)}
         return Frame(radiance, planar, **labels, raster=raster, repair=options.repair)
     except InvalidFrameError as error:
         raise InvalidFrameError(f"{image.path}: {error}{_background_advice(error)}") from None
@@ -508,14 +514,20 @@ def _sequence_doubts(files: Sequence[PathLike]) -> list[str]:
 
 def _stored_channels(layer: Layer, row: Preset, scale: Scale, unpremultiplied: bool) -> dict[str, FloatArray]:
     """Return a layer's channels by the names of a preset, as contiguous planes."""
+    # Colours.
     colours = layer.radiance
     if unpremultiplied:
         alpha = colours[..., 3:]
         rgb = np.divide(colours[..., :3], alpha, out=np.zeros_like(colours[..., :3]), where=alpha > 0)
         colours = np.concatenate([rgb, alpha], axis=2)
     channels = {row.colour + name: colours[..., index] for index, name in enumerate("RGBA")}
+    # Depth, also of the frames before and after.
     depth_name, depth_convention = row.depth[0]
     channels[depth_name] = stored_depth(depth_convention, layer.depth, scale)
+    for name, other in zip(AROUND, (layer.depth_prev, layer.depth_next), strict=True):
+        if other is not None:
+            channels[name] = stored_depth(depth_convention, other, scale)
+    # Motion.
     if layer.has_motion:
         curved = layer.motion_prev is not None
         names, convention = next(

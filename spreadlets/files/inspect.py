@@ -226,6 +226,8 @@ def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> di
     report["depth"] |= {"background": int(np.count_nonzero(np.isinf(depth)))}
     if found.depth is not None and found.depth.image.planes[found.depth.channels[0]].pixels.size:
         report["depth"] |= _bad_depths(found.depth, visible[0], options)
+    if any(layer.depth_prev is not None for layer in chosen):
+        report["depth"] |= {"moves": True}
     # Motion, in px per frame.
     if found.motion is not None:
         lengths = [np.max([np.hypot(each[..., 0], each[..., 1]) for each in layer.motions], axis=0) for layer in chosen]

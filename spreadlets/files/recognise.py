@@ -39,6 +39,9 @@ GREY = "Y"
 ALPHA_SETS = (("A",), ("alpha",), ("AR", "AG", "AB"))
 """Names of alpha; of three, one for each colour, the mean counts."""
 
+AROUND = ("depth_prev", "depth_next")
+"""Channels of the depths one frame before and one frame after, as `write_frame` names them."""
+
 VIEW_LAYER = ".combined."
 """How the prefix of a view layer's colour ends in Blender's files."""
 
@@ -256,12 +259,14 @@ class Recognised:
     depth: Found
     motion: Found | None
     doubts: tuple[str, ...]
+    around: Found | None = None
+    """The depths one frame before and one frame after."""
 
     def names_in(self, image: Image) -> tuple[str, ...]:
         """Return every channel that is taken from an image."""
         names = list(self.colour.channels) if self.colour.image is image else []
         names += self.colour.alpha if self.colour.alpha_image is image else ()
-        for found in (self.depth, self.motion):
+        for found in (self.depth, self.motion, self.around):
             names += found.channels if found is not None and found.image is image else ()
         return tuple(names)
 
@@ -294,13 +299,15 @@ def recognise(image: Image, options: ReadOptions, passes: Passes | None = None) 
     colour = find_colour(image, options, passes.alpha)
     depth = find_depth(passes.depth or image, colour, options, alone=passes.depth is not None)
     motion = find_motion(passes.motion or image, colour, options, depth, alone=passes.motion is not None)
+    around, lone = find_depths_around(passes.depth or image, colour, depth)
     doubts = [
         *colour.doubts,
         depth.doubt,
+        lone,
         motion.doubt if motion else "",
         *_unused(image, colour, depth, motion, options),
     ]
-    return Recognised(colour, depth, motion, tuple(dict.fromkeys(filter(None, doubts))))
+    return Recognised(colour, depth, motion, tuple(dict.fromkeys(filter(None, doubts))), around)
 
 
 # --- Colour --------------------------------------------------------------------------------------------------------
@@ -439,6 +446,30 @@ def find_depth(image: Image, colour: Colour, options: ReadOptions, *, alone: boo
     given = options.depth_channel is not None
     found = _given_depth(image, colour, options) if given else _found_depth(image, colour, options, alone)
     return found if options.depth_convention is not None else _as_values_say(found)
+
+
+def find_depths_around(image: Image, colour: Colour, depth: Found) -> tuple[Found | None, str]:
+    """Return the depths of the frames before and after, stored as the depth is, if both are there; and a doubt, or "".
+
+    Parameters
+    ----------
+    image, colour
+        As for `find_depth`.
+    depth : Found
+        The frame's own.
+    """
+    places = [_rank_of(image, colour, name) for name in AROUND]
+    if all(place is not None for place in places):
+        names = tuple(name for place in places if place is not None for name in place[1:])
+        return Found(image, names, depth.convention), ""
+    lone = [place[1] for place in places if place is not None]
+    return None, f"{lone[0]} is not used: {' and '.join(AROUND)} come together" if lone else ""
+
+
+def _rank_of(image: Image, colour: Colour, name: str) -> tuple[int, str] | None:
+    """Return the channel of a name that stands nearest the colour, with its rank."""
+    groups = _groups(image, (name,))
+    return min(((_rank(image, colour, prefix, found), found) for prefix, (found,) in groups), default=None)
 
 
 def _found_depth(image: Image, colour: Colour, options: ReadOptions, alone: bool) -> Found:

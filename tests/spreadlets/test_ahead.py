@@ -4,6 +4,7 @@ import sys
 
 import numba
 import pytest
+from numba.core.caching import NullCache
 
 from spreadlets import ahead
 from spreadlets.ahead import RUNS, compiled_ahead, list_of, listed
@@ -67,6 +68,7 @@ def new_kernel():
     def one_more(number):
         return number + 1
 
+    one_more._cache = NullCache()  # new in each run of the tests
     return one_more
 
 
