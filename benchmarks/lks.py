@@ -242,8 +242,8 @@ NOTES_11 = (
     "![With the pre-filter, without it, each pixel's own PSF, and 4 x the difference of the first](lks_fig11.png)",
     "",
     "- In the paper, the pre-filter turns the steps between cells into a slight blur. Here it has next to nothing left "
-    "to do: cells are narrow in CoC, and bright areas share out neighbouring ones, so that steps are about those of exact "
-    "PSFs. The paper shows it on a frame; this is a surface made to show steps.",
+    "to do: cells are narrow in CoC, and bright areas share out neighbouring ones, so that steps are about those of "
+    "exact PSFs. The paper shows it on a frame; this is a surface made to show steps.",
 )
 
 
