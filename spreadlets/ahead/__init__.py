@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -73,13 +73,12 @@ class _Starter(numba.core.event.Listener):
 
     def on_start(self, event: numba.core.event.Event) -> None:
         if not self._processes and is_kernel(event.data["dispatcher"]) and are_kept():
-            for index in range(self._count):
-                command = [sys.executable, "-m", __name__, *self._runs, str(index), str(self._count)]
-                self._processes.append(
-                    subprocess.Popen(
-                        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-                    )
-                )
+            quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+            # Without room for another process, this one compiles alone.
+            with suppress(OSError):
+                for index in range(self._count):
+                    command = [sys.executable, "-m", __name__, *self._runs, str(index), str(self._count)]
+                    self._processes.append(subprocess.Popen(command, **quiet))
 
     def on_end(self, event: numba.core.event.Event) -> None:
         pass

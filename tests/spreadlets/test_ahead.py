@@ -91,3 +91,12 @@ def test_nobody_is_called_for_what_is_compiled_already_or_cannot_be_shared(start
     with compiled_ahead("synthesize"):
         new_kernel()(1)
     assert not started
+
+
+def test_without_room_for_another_process_this_one_compiles_alone(started, monkeypatch):
+    def refuse(*_, **__):
+        raise BlockingIOError("no more processes")
+
+    monkeypatch.setattr(ahead.subprocess, "Popen", refuse)
+    with compiled_ahead("synthesize"):
+        assert new_kernel()(1) == 2
