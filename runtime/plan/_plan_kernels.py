@@ -212,7 +212,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
                     across, down = 0.0, 0.0
                     if len(pose.shift):
                         across, down = np.float64(pose.shift[row, col, 0]), np.float64(pose.shift[row, col, 1])
-                    key[row, col] = FIRST_STREAK - streak_code(x, y, across, down, sizes.longest_streak)
+                    key[row, col] = FIRST_STREAK - streak_code(x, y, across, down)
                     continue
             step = 0
             shrink = 1.0

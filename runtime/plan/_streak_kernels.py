@@ -16,25 +16,47 @@ SAMPLES_PER_PX = 8
 
 
 @helper(inline="always")
-def streak_code(x, y, across, down, longest):
-    """Return the code of a path (x, y), px, up to the longest along an axis, whose middle is shifted by so much."""
-    most = int(STEPS_PER_PX * longest)
-    code = int(np.rint(STEPS_PER_PX * y)) + most
-    code = code * (2 * most + 1) + int(np.rint(STEPS_PER_PX * x)) + most
+def _folded(step):
+    """Return a whole number as one from 0 up: 0, -1, 1, -2, 2 ..."""
+    return 2 * step if step >= 0 else -2 * step - 1
+
+
+@helper(inline="always")
+def _unfolded(number):
+    """Undo `_folded`."""
+    return -(number + 1) // 2 if number % 2 else number // 2
+
+
+@helper
+def streak_code(x, y, across, down):
+    """Return the code of a path (x, y), px, whose middle is shifted by so much; that of a short path is small.
+
+    Pairs of numbers are counted along squares around 0 (Szudzik 2006, "An elegant pairing function").
+    """
+    right, below = _folded(int(np.rint(STEPS_PER_PX * x))), _folded(int(np.rint(STEPS_PER_PX * y)))
+    code = right * right + below if below < right else below * below + below + right
     # The whole pixels of the shift are not in the code.
     code = code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (down - np.rint(down)))) + N_MIDDLES // 2
     return code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (across - np.rint(across)))) + N_MIDDLES // 2
 
 
+@helper
+def _path(pair):
+    """Return the path (x, y), px, of a pair's number."""
+    side = int(math.sqrt(pair))
+    rest = pair - side * side
+    right, below = (side, rest) if rest < side else (rest - side, side)
+    return _unfolded(right) / STEPS_PER_PX, _unfolded(below) / STEPS_PER_PX
+
+
 @kernel
-def draw_streaks(begin, end, code, longest, openness, start, offset_rc, value):
+def draw_streaks(begin, end, code, openness, start, offset_rc, value):
     """Count the pixels of streaks, or list them with their shares of the light, by row.
 
     Parameters
     ----------
     code : ndarray of shape (n,), int64
-    longest : float
-        As for `streak_code`.
+        See `streak_code`.
     openness : ndarray of shape (m,), float64
         How far the shutter is open, at equally spaced times from opening to closing.
     start : ndarray of shape (n,), int64
@@ -44,12 +66,10 @@ def draw_streaks(begin, end, code, longest, openness, start, offset_rc, value):
     value : ndarray of shape (n_points, 1), float32
         Filled with their shares of the light, of sum 1.
     """
-    most = int(STEPS_PER_PX * longest)
     for i in range(begin, end):
         rest, right = divmod(code[i], N_MIDDLES)
         rest, below = divmod(rest, N_MIDDLES)
-        down, across = divmod(rest, 2 * most + 1)
-        y, x = (down - most) / STEPS_PER_PX, (across - most) / STEPS_PER_PX
+        x, y = _path(rest)
         reach_x, reach_y = int(0.5 * abs(x)) + 2, int(0.5 * abs(y)) + 2
         light = np.zeros((2 * reach_y + 2, 2 * reach_x + 2))
         middle_x = (right - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_x

@@ -16,13 +16,15 @@ from spreadlets.parallel import for_bands
 from spreadlets.psf.model import PsfModel
 from spreadlets.runtime.plan import _streak_kernels
 
+LONGEST_PX = 128.0
+"""Extent along an axis of the longest path that is a streak: the numbers of codes grow with its square."""
 BOX_SHUTTER = (1.0, 1.0)
 """How far a shutter without a curve is open, from opening to closing."""
 
 
 def longest_streak(model: PsfModel) -> float:
-    """Return the largest extent of a streak along an axis, px; 0 if the model is not of a thin lens with motion."""
-    return float(model.axes[1].maximum) if model.name == "combined" else 0.0
+    """Return the largest extent of a streak along an axis, px; 0 if the model's PSFs do not move."""
+    return LONGEST_PX if model.has_motion else 0.0
 
 
 class Streaks(NamedTuple):
@@ -54,7 +56,7 @@ def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
         Of a thin lens with motion, if there are any.
     """
     curve = model.settings.get("shutter_curve")
-    given = codes, longest_streak(model), np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
+    given = codes, np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
     counts = np.zeros(len(codes), np.int64)
     nothing = np.zeros((0, 2), np.int32), np.zeros((0, 1), np.float32)
     for_bands(_streak_kernels.draw_streaks, len(codes), *given, counts, *nothing)

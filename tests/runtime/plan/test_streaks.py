@@ -4,20 +4,25 @@ import numpy as np
 import pytest
 
 import spreadlets as sp
+from spreadlets.compiled import kernel
 from spreadlets.psf.model import get_model
 from spreadlets.runtime.plan._streak_kernels import streak_code
-from spreadlets.runtime.plan.streaks import draw_streaks, longest_streak
+from spreadlets.runtime.plan.streaks import draw_streaks
 
 CAMERA = sp.ThinLens(50.0, 36.0, 1e6, 4.0, shutter=(-0.5, 0.5))
 SIZE = 48
-CODE = getattr(streak_code, "py_func", streak_code)
-"""Helpers have no entrance from Python but their source."""
+
+
+@kernel
+def coded(x, y, across, down):
+    """Helpers have no entrance from Python."""
+    return streak_code(x, y, across, down)
 
 
 def drawn(path, shift=(0.0, 0.0), curve=None):
     """The image (41, 41) of one streak about its pixel, and the sum of its points."""
     model = get_model("combined", settings={} if curve is None else {"shutter_curve": curve})
-    streaks = draw_streaks(np.array([CODE(*path, *shift, longest_streak(model))]), model)
+    streaks = draw_streaks(np.array([coded(*path, *shift)]), model)
     image = np.zeros((41, 41))
     image[tuple(streaks.offset_rc.T + 20)] = streaks.value[:, 0]
     return image
@@ -47,6 +52,12 @@ def test_the_part_of_a_pixel_that_a_streak_is_shifted_by_is_in_it():
 @pytest.mark.interpreted
 def test_a_shutter_that_opens_slowly_shows_more_of_the_end():
     assert centre(drawn((12.0, 0.0), curve=[0.0, 1.0]))[0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_codes_of_short_paths_are_small_and_differ():
+    steps = np.arange(-8, 9) / 2
+    codes = {coded(x, y, across, 0.25) for x in steps for y in steps for across in (-0.25, 0.0)}
+    assert len(codes) == 2 * 17**2 and max(codes) < 25 * 18**2
 
 
 def test_what_moves_in_focus_is_not_blurred_across_its_path(small_combined):
