@@ -174,7 +174,9 @@ class _KernelCache(FunctionCache):
     _impl_class = _KernelCacheImpl
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        _first_calls.append((self._py_func.__module__, self._py_func.__name__, signature))
+        # What is compiled also looks for the kernels that it calls; later it holds them.
+        if not _announcement.depth:
+            _first_calls.append((self._py_func.__module__, self._py_func.__name__, signature))
         try:
             return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
         except (OSError, EOFError, pickle.UnpicklingError):
@@ -186,11 +188,12 @@ class _KernelCache(FunctionCache):
 
 
 class _Announcement(numba.core.event.Listener):
-    """Counts the kernels that are compiled, and says so of the first."""
+    """Counts the kernels that are compiled, says so of the first, and knows how deep one is compiled for another."""
 
-    count = 0
+    count = depth = 0
 
     def on_start(self, event: numba.core.event.Event) -> None:
+        self.depth += 1
         if is_kernel(event.data["dispatcher"]):
             if not self.count:
                 runs = "later runs" if are_kept() else "this run"
@@ -198,7 +201,7 @@ class _Announcement(numba.core.event.Listener):
             self.count += 1
 
     def on_end(self, event: numba.core.event.Event) -> None:
-        pass
+        self.depth -= 1
 
 
 def _import_functions() -> None:

@@ -116,8 +116,9 @@ def record(run: str) -> str:
 
     with tempfile.TemporaryDirectory() as folder:
         {"synthesize": run_demo, "reconstruct": run_reconstruction_demo}[run](folder)
-    entries = ((module, name, [*map(_description, arguments)]) for module, name, arguments in first_calls())
-    return "[\n" + ",\n".join(map(json.dumps, entries)) + "\n]\n"
+    lines = (json.dumps((module, name, [*map(_description, arguments)])) for module, name, arguments in first_calls())
+    # Two threads may both have looked for one.
+    return "[\n" + ",\n".join(dict.fromkeys(lines)) + "\n]\n"
 
 
 def _description(numba_type: Any) -> Any:

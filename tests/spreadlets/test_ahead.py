@@ -24,7 +24,8 @@ print(count_compiled())
 @pytest.mark.parametrize("run", RUNS)
 def test_lists_hold_what_a_run_calls(run):
     called = subprocess.run([sys.executable, "-m", "spreadlets.ahead", run], capture_output=True, text=True)
-    assert called.stdout == list_of(run).read_text(), "make kernels"
+    # Threads may come to two kernels in either order.
+    assert sorted(called.stdout.splitlines()) == sorted(list_of(run).read_text().splitlines()), "make kernels"
 
 
 def test_what_one_process_compiles_another_finds(tmp_path):
