@@ -1,7 +1,7 @@
-"""Synthesis on three rendered frames with ground truth: spreadlets against dense splatting of the same PSFs.
+"""Synthesis on rendered frames with ground truth: spreadlets against the same PSFs splatted in full, and gathered.
 
-Reads coins, whirl and fence (pinhole frame, camera, references) from ``--frames`` (default frames), or else the small
-frames that ship. Writes frames.txt and a picture of each frame to benchmarks/results.
+Reads pinhole frames, cameras and references from ``--frames`` (default frames), or else the small frames that ship.
+Writes frames.txt and a picture of each frame to benchmarks/results.
 
     python benchmarks/frames.py [--frames DIR] [--db combined]
 """
@@ -16,26 +16,27 @@ import spreadlets as sp
 from spreadlets.scene.display import display_encode
 
 EFFECTS = {"dofmb": {}, "dof": {"motion": False}, "mb": {"defocus": False}}
-COLUMNS = ("scene", "effect", "ssim dense", "ssim", "loss", "mean ratio", "points/px", "dense s", "s")
+COLUMNS = ("scene", "effect", "ssim gather", "ssim dense", "ssim", "loss", "mean ratio", "points/px", "dense s", "s")
 
 
 def measure(scene: Scene, effect: str, database: sp.Database) -> tuple[list[object], list[np.ndarray]]:
-    """Return a row of the table, and the images: pinhole, spreadlets, dense, reference."""
+    """Return a row of the table, and the images: pinhole, spreadlets, gathered, dense, reference."""
     frame, camera, reference = scene.pinhole, scene.camera, sp.read_image(scene.path(f"_ref_{effect}.exr"))
     sparse, report = sp.synthesize(frame, camera, database, report=True, **EFFECTS[effect])
+    gathered = sp.synthesize(frame, camera, database, method="gather", **EFFECTS[effect])
     dense, dense_report = sp.synthesize(frame, camera, database, method="dense", report=True, **EFFECTS[effect])
-    similarity = [sp.metrics.ssim(image, reference) for image in (dense, sparse)]
+    similarity = [sp.metrics.ssim(image, reference) for image in (gathered, dense, sparse)]
     row = [
         scene.name,
         effect,
         *similarity,
-        similarity[0] - similarity[1],
+        similarity[1] - similarity[2],
         float(sparse[..., :3].mean() / dense[..., :3].mean()),
         report["plan"]["points_splatted"] / frame.depth.size,
         dense_report["time_s"]["total"],
         report["time_s"]["total"],
     ]
-    return row, [frame.radiance, sparse, dense, reference]
+    return row, [frame.radiance, sparse, gathered, dense, reference]
 
 
 def save_picture(path: Path, images: list[np.ndarray]) -> None:

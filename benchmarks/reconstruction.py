@@ -125,7 +125,7 @@ def fireflies(scene: Scene, database: sp.Database, report: Report) -> None:
 def peers(scene: Scene, image: Image, database: sp.Database, report: Report) -> list[Image]:
     """Add the rows of the denoisers, which are given 1 sample, and of our lead; return their images."""
     mean = sp.reconstruct(scene.samples.take(1), scene.camera, method="mean")
-    mine, images = ssim(image, scene.reference), []
+    mine, images, rival = ssim(image, scene.reference), [], PUBLISHED_OIDN.get(scene.name)
     if find_spec("pyoidn"):
         oidn(mean)  # sets up its device
         denoised, seconds = timed(lambda: oidn(mean))
@@ -136,10 +136,10 @@ def peers(scene: Scene, image: Image, database: sp.Database, report: Report) -> 
         for name, result in (("--denoise oidn", last), ("then oidn", oidn(image))):
             after = ssim(result, scene.reference)
             report.row(f"{scene.name}, ours, {name}", after, "-", "-", f"{after - mine:+.4f}")
-    else:
-        rival = PUBLISHED_OIDN.get(scene.name, np.nan)
+    elif rival is not None:
         report.row(f"{scene.name}, oidn", f"{rival}*")
-    report.row(f"{scene.name}, lead over oidn", mine - rival, "-", "-", "> 0")
+    if rival is not None:
+        report.row(f"{scene.name}, lead over oidn", mine - rival, "-", "-", "> 0")
     if find_spec("bm3d"):
         denoised, seconds, setting = bm3d(mean, scene.reference)
         rival = ssim(denoised, scene.reference)

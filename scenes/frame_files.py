@@ -11,6 +11,8 @@ import OpenEXR
 from scipy import ndimage
 
 LARGEST_HALF = 65504.0
+BLURRED = ("noisy", "ref_dofmb", "ref_lens")
+"""How the names of images begin that are what lens and shutter make of the frame."""
 FAR_M = 1e9
 """Cycles gives a depth of 1e10 where nothing is."""
 HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -84,9 +86,16 @@ def write_camera(
     samples : int
         In each pixel.
     found : mapping
-        Figures, such as ``render_time_s``.
+        Figures, such as ``render_time_s``. Those of plain renderings with lens and shutter are repeated by their number
+        of samples alone, as ``spreadlets bench`` reads them.
     """
     before = json.loads(path.read_text()) if path.exists() else {}
     images = before.get("render", {}) if before.get("width") == description["width"] else {}
     images[of] = {**images.get(of, {}), str(samples): dict(found)}
-    path.write_text(json.dumps({**description, "render": images}, indent=1) + "\n")
+    times = {
+        count: each["render_time_s"]
+        for name, counts in images.items()
+        if name.startswith(BLURRED)
+        for count, each in counts.items()
+    }
+    path.write_text(json.dumps({**description, "render_time_s": times, "render": images}, indent=1) + "\n")

@@ -40,6 +40,16 @@ def test_every_study_answers_help():
     assert silent(studies) == []
 
 
+def test_the_page_of_tables_is_made_of_the_results(tmp_path):
+    page = tmp_path / "tables.md"
+    command = [sys.executable, "tables.py", "-o", str(page)]
+    subprocess.run(command, cwd=BENCHMARKS, capture_output=True, check=True, timeout=LIMIT_S)
+    made, kept = (path.read_text().splitlines() for path in (page, BENCHMARKS.parent / "docs" / "tables.md"))
+    # Figures change with each run of a study; what there is does not.
+    assert [line for line in made if line.startswith("#")] == [line for line in kept if line.startswith("#")]
+    assert sum(line.startswith("|---") for line in made) > 15
+
+
 def test_a_study_that_runs_is_noticed(tmp_path):
     study = tmp_path / "runs.py"
     study.write_text("print('a result')\n")

@@ -81,9 +81,12 @@ def test_a_camera_keeps_what_it_tells_of_other_images_of_its_size(tmp_path):
     shot, path = Shot(85.0, 2.0, 2.0), tmp_path / "a.json"
     for samples, seconds in ((4, 1.5), (8, 3.0)):
         write_camera(path, shot.description(64), "noisy", samples, {"render_time_s": seconds})
-    assert json.loads(path.read_text())["render"]["noisy"] == {"4": {"render_time_s": 1.5}, "8": {"render_time_s": 3.0}}
+    told = json.loads(path.read_text())
+    assert told["render"]["noisy"] == {"4": {"render_time_s": 1.5}, "8": {"render_time_s": 3.0}}
+    assert told["render_time_s"] == {"4": 1.5, "8": 3.0}
     write_camera(path, shot.description(32), "pinhole", 4, {"render_time_s": 0.5})
-    assert list(json.loads(path.read_text())["render"]) == ["pinhole"]
+    told = json.loads(path.read_text())
+    assert list(told["render"]) == ["pinhole"] and told["render_time_s"] == {}
 
 
 @pytest.fixture(scope="module")
