@@ -5,7 +5,7 @@
 Three cards stand at 2, 3.5 and 6 m, textured and anti-aliased, 4 x 4 samples in each pixel, with small lamps on the
 farthest. Rack: the focus goes from 2 to 6 m, evenly in 1 / distance. Dolly: the camera comes nearer by 1 m, so every
 card moves and grows. At rest: nothing changes. The frames are drawn in layers, as a renderer gives them, or in one. The
-truth of every frame is drawn as dense as can be: each card by itself, convolved with the exact disc of its CoC (16 x 16
+truth of every frame is drawn as dense as can be: each card by itself, convolved with the exact disc of its CoC (64 x 64
 samples in each pixel), colour and alpha, and put over the farther ones.
 
 Columns: RMS of the differences between one frame and the next, less that of the truth, displayed (sRGB), as a share of
@@ -82,7 +82,7 @@ def truth(shown: list[Card], camera: sp.ThinLens, size: int, margin: int) -> np.
     """Return the picture: each card blurred by its own disc, over the farther ones."""
     image = np.zeros((size, size, 4))
     for card in shown:
-        kernel = disc(abs(float(camera.coc_radius(card.depth, size))))
+        kernel = disc(abs(float(camera.coc_radius(card.depth, size))), 64)
         whole = signal.fftconvolve(card.picture, kernel[..., None], mode="same", axes=(0, 1))
         blurred = whole[margin:-margin, margin:-margin]
         image += (1.0 - image[..., 3:]) * blurred

@@ -44,12 +44,12 @@ def inner(image: np.ndarray) -> np.ndarray:
     return image[MARGIN : MARGIN + HEIGHT, MARGIN : MARGIN + WIDTH]
 
 
-def disc(radius: float) -> np.ndarray:
-    """Return a disc of unit sum, by 16 x 16 subsamples of each pixel."""
+def disc(radius: float, samples: int = 16) -> np.ndarray:
+    """Return a disc of unit sum, by so many subsamples along each axis of a pixel."""
     half = int(np.ceil(radius)) + 1
-    fine = (np.arange((2 * half + 1) * 16) + 0.5) / 16 - half - 0.5
+    fine = (np.arange((2 * half + 1) * samples) + 0.5) / samples - half - 0.5
     inside = np.hypot(*np.meshgrid(fine, fine)) <= max(radius, 0.05)
-    coverage = inside.reshape(2 * half + 1, 16, 2 * half + 1, 16).mean(axis=(1, 3))
+    coverage = inside.reshape(2 * half + 1, samples, 2 * half + 1, samples).mean(axis=(1, 3))
     return coverage / coverage.sum()
 
 

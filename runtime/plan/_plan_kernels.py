@@ -9,13 +9,15 @@ import numpy.typing as npt
 from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
-from spreadlets.runtime.plan._streak_kernels import streak_code
+from spreadlets.runtime.plan._streak_kernels import disc_code, streak_code
 
 INVISIBLE = -1
 SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 FIRST_STREAK = -2
-"""Keys of streaks, see `runtime.plan.streaks`, go down from here with their codes."""
+"""Keys of streaks and small discs, see `runtime.plan.streaks`, go down from here with their codes."""
+STILL = 0.25
+"""What moves so little adds to the extent of a PSF, px, that it is drawn as if it stood still."""
 WIDE_EXTENT = 8.0
 """Extent of a PSF, px, above which a cell's is off by a pixel, and blocks of pixels are hidden under it."""
 BLOCK_BITS = 2
@@ -66,6 +68,8 @@ class Sizes(NamedTuple):
         The extent, px, up to which the key is `SHARP`; and the radius up to which what moves leaves a streak.
     longest_streak : float
         Largest extent of a streak along an axis, px; 0 if there are none.
+    largest_disc : float
+        Radius, px, up to which discs are drawn as they are; below 0 if the lens is not round, or there are no discs.
     """
 
     steps_per_octave: int
@@ -74,6 +78,7 @@ class Sizes(NamedTuple):
     share: npt.NDArray[np.float64]
     sharp_extent: float
     longest_streak: float
+    largest_disc: float
 
 
 class PoseLabels(NamedTuple):
@@ -206,7 +211,11 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
             if extent <= sizes.sharp_extent:
                 key[row, col] = SHARP
                 continue
-            if abs(coordinate[0][row, col]) <= sizes.sharp_extent and sizes.longest_streak > 0.0:
+            radius = abs(np.float64(coordinate[0][row, col]))
+            if radius <= sizes.largest_disc and extent - radius <= STILL:
+                key[row, col] = FIRST_STREAK - disc_code(radius)
+                continue
+            if radius <= sizes.sharp_extent and sizes.longest_streak > 0.0:
                 x, y = np.float64(heading[row, col, 0]), np.float64(heading[row, col, 1])
                 if max(abs(x), abs(y)) <= sizes.longest_streak:
                     across, down = 0.0, 0.0

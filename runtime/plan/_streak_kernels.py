@@ -1,4 +1,7 @@
-"""Compiled kernels of streaks: the lines that points in focus leave while the shutter is open."""
+"""Compiled kernels of PSFs that are drawn as they are: streaks of what moves in focus, and small discs.
+
+Codes of streaks are even, those of discs odd.
+"""
 
 import math
 
@@ -11,6 +14,10 @@ STEPS_PER_PX = 2
 MIDDLES_PER_PX = 4
 N_MIDDLES = MIDDLES_PER_PX + 1
 """The middle of a path, which lies within half a pixel of a pixel's centre, is rounded to quarters."""
+RADII_PER_PX = 32
+"""Radii of small discs are rounded to steps of 1 / 32 px."""
+COVER_SAMPLES = 32
+"""Samples along each axis of a pixel, of which a disc covers some."""
 SAMPLES_PER_PX = 8
 """Moments of a path within a pixel; each is split over four pixels, bilinearly."""
 
@@ -27,6 +34,12 @@ def _unfolded(number):
     return -(number + 1) // 2 if number % 2 else number // 2
 
 
+@helper(inline="always")
+def disc_code(radius):
+    """Return the code of a disc of a radius, px."""
+    return 2 * int(np.rint(RADII_PER_PX * radius)) + 1
+
+
 @helper
 def streak_code(x, y, across, down):
     """Return the code of a path (x, y), px, whose middle is shifted by so much; that of a short path is small.
@@ -37,7 +50,7 @@ def streak_code(x, y, across, down):
     code = right * right + below if below < right else below * below + below + right
     # The whole pixels of the shift are not in the code.
     code = code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (down - np.rint(down)))) + N_MIDDLES // 2
-    return code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (across - np.rint(across)))) + N_MIDDLES // 2
+    return 2 * (code * N_MIDDLES + int(np.rint(MIDDLES_PER_PX * (across - np.rint(across)))) + N_MIDDLES // 2)
 
 
 @helper
@@ -49,55 +62,74 @@ def _path(pair):
     return _unfolded(right) / STEPS_PER_PX, _unfolded(below) / STEPS_PER_PX
 
 
+@helper
+def _streak(code, openness):
+    """Return the light of a streak, of any sum, in a rectangle about its pixel."""
+    rest, right = divmod(code // 2, N_MIDDLES)
+    rest, below = divmod(rest, N_MIDDLES)
+    x, y = _path(rest)
+    reach_x, reach_y = int(0.5 * abs(x)) + 2, int(0.5 * abs(y)) + 2
+    light = np.zeros((2 * reach_y + 1, 2 * reach_x + 1))
+    middle_x = (right - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_x
+    middle_y = (below - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_y
+    # Split the light of each moment over the four pixels around its place.
+    n_samples = int(SAMPLES_PER_PX * max(abs(x), abs(y))) + 1
+    for k in range(n_samples):
+        time = (k + 0.5) / n_samples
+        at = time * (len(openness) - 1)
+        before = min(int(at), len(openness) - 2)
+        share = openness[before] + (at - before) * (openness[before + 1] - openness[before])
+        place_y, place_x = middle_y + (time - 0.5) * y, middle_x + (time - 0.5) * x
+        row, col = int(math.floor(place_y)), int(math.floor(place_x))
+        part_y, part_x = place_y - row, place_x - col
+        light[row, col] += share * (1.0 - part_y) * (1.0 - part_x)
+        light[row, col + 1] += share * (1.0 - part_y) * part_x
+        light[row + 1, col] += share * part_y * (1.0 - part_x)
+        light[row + 1, col + 1] += share * part_y * part_x
+    return light
+
+
+@helper
+def _disc(code):
+    """Return how many samples of each pixel a disc covers, in a square about its own."""
+    radius = (code // 2) / RADII_PER_PX
+    reach = int(radius + 0.5)
+    light = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for row in range(COVER_SAMPLES * len(light)):
+        for col in range(COVER_SAMPLES * len(light)):
+            y = (row + 0.5) / COVER_SAMPLES - 0.5 - reach
+            x = (col + 0.5) / COVER_SAMPLES - 0.5 - reach
+            if x * x + y * y <= radius * radius:
+                light[row // COVER_SAMPLES, col // COVER_SAMPLES] += 1.0
+    return light
+
+
 @kernel
-def draw_streaks(begin, end, code, openness, start, offset_rc, value):
-    """Count the pixels of streaks, or list them with their shares of the light, by row.
+def draw_own(begin, end, code, openness, start, offset_rc, value):
+    """Count the pixels of streaks and discs, or list them with their shares of the light, by row.
 
     Parameters
     ----------
     code : ndarray of shape (n,), int64
-        See `streak_code`.
+        See `streak_code` and `disc_code`.
     openness : ndarray of shape (m,), float64
         How far the shutter is open, at equally spaced times from opening to closing.
     start : ndarray of shape (n,), int64
-        Where the pixels of each streak go in the lists; filled with their numbers if the lists are empty.
+        Where the pixels of each PSF go in the lists; filled with their numbers if the lists are empty.
     offset_rc : ndarray of shape (n_points, 2), int32
         Filled with the pixels' rows and columns, from the one that the middle was rounded to.
     value : ndarray of shape (n_points, 1), float32
         Filled with their shares of the light, of sum 1.
     """
     for i in range(begin, end):
-        rest, right = divmod(code[i], N_MIDDLES)
-        rest, below = divmod(rest, N_MIDDLES)
-        x, y = _path(rest)
-        reach_x, reach_y = int(0.5 * abs(x)) + 2, int(0.5 * abs(y)) + 2
-        light = np.zeros((2 * reach_y + 2, 2 * reach_x + 2))
-        middle_x = (right - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_x
-        middle_y = (below - N_MIDDLES // 2) / MIDDLES_PER_PX + reach_y
-        # Split the light of each moment over the four pixels around its place.
-        n_samples = int(SAMPLES_PER_PX * max(abs(x), abs(y))) + 1
-        total = 0.0
-        for k in range(n_samples):
-            time = (k + 0.5) / n_samples
-            at = time * (len(openness) - 1)
-            before = min(int(at), len(openness) - 2)
-            share = openness[before] + (at - before) * (openness[before + 1] - openness[before])
-            place_y, place_x = middle_y + (time - 0.5) * y, middle_x + (time - 0.5) * x
-            row, col = int(math.floor(place_y)), int(math.floor(place_x))
-            part_y, part_x = place_y - row, place_x - col
-            light[row, col] += share * (1.0 - part_y) * (1.0 - part_x)
-            light[row, col + 1] += share * (1.0 - part_y) * part_x
-            light[row + 1, col] += share * part_y * (1.0 - part_x)
-            light[row + 1, col + 1] += share * part_y * part_x
-            total += share
-        # List what it falls on.
-        n_points = 0
+        light = _disc(code[i]) if code[i] % 2 else _streak(code[i], openness)
+        total, n_points = light.sum(), 0
         for row in range(light.shape[0]):
             for col in range(light.shape[1]):
                 if light[row, col] > 0.0:
                     if len(value):
                         place = start[i] + n_points
-                        offset_rc[place, 0], offset_rc[place, 1] = row - reach_y, col - reach_x
+                        offset_rc[place, 0], offset_rc[place, 1] = row - light.shape[0] // 2, col - light.shape[1] // 2
                         value[place, 0] = light[row, col] / total
                     n_points += 1
         if not len(value):

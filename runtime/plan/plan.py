@@ -32,7 +32,7 @@ from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
-from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
+from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, largest_disc, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
@@ -129,8 +129,9 @@ class _Choice(NamedTuple):
     indices : list of ndarray of shape (H, W), int32
         For each set, the number of each pixel's variant; -1 where nothing is drawn.
     variants : list of Variant
-        Those behind the streaks.
-    n_streaks : int
+        Those behind streaks and small discs.
+    is_streak : ndarray of shape (n,), bool
+        Which of these are streaks.
     highlights : Highlights
     table : PointTable
         As in `Plan`.
@@ -142,11 +143,16 @@ class _Choice(NamedTuple):
 
     indices: list[npt.NDArray[np.int32]]
     variants: list[Variant]
-    n_streaks: int
+    is_streak: npt.NDArray[np.bool_]
     highlights: Highlights
     table: PointTable
     spike_of: npt.NDArray[np.int32]
     variation: npt.NDArray[np.float32]
+
+    @property
+    def n_streaks(self) -> int:
+        """Number of streaks and small discs."""
+        return len(self.is_streak)
 
     @property
     def n_variants(self) -> int:
@@ -293,7 +299,7 @@ def _choose(
     table, spike_of = _point_table(draw_streaks(streaks, database.grid.model), points, spikes, database.n_channels)
     variation = _variation(len(streaks), variants, spikes, table, database)
     table = replace(table, group=_groups(table.direct, variation, tolerance))
-    return _Choice(indices, variants, len(streaks), highlights, table, spike_of, variation)
+    return _Choice(indices, variants, streaks % 2 == 0, highlights, table, spike_of, variation)
 
 
 def _divide(
@@ -329,7 +335,7 @@ def _lay_out(
     """Lay out what to draw, as `Plan.sources`, and bound the error of drawing blocks of pixels as one."""
     table, highlights = chosen.table, chosen.highlights
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
-    wide[: chosen.n_streaks] = True  # the rest of their shift is in them
+    wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
     beyond = _border_colours(pixel_sets) if border else [None] * len(pixel_sets)
     parts = _all_parts(highlights.dimmed(pixel_sets), members, beyond, n_layers, table.n_variants)
@@ -406,7 +412,9 @@ class _Given(NamedTuple):
         share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
         # Where more than lens and motion blurs, no PSF stays within its pixel.
         sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
-        sizes = Sizes(SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent, longest_streak(model))
+        sizes = Sizes(
+            SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent, longest_streak(model), largest_disc(model)
+        )
         heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
         shift = UNMOVED if labels.shift is None else np.ascontiguousarray(labels.shift)
         pose = PoseLabels(heading, labels.coc, shift, model.symmetry.codes)

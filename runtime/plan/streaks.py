@@ -1,7 +1,8 @@
-"""Streaks: what is in focus and moves is drawn along its own path, not by a cell.
+"""Streaks and small discs: what is in focus and moves is drawn along its own path, what is nearly in focus by its own disc.
 
 A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred; a texture in focus would
-be blurred across its path, and beyond its ends.
+be blurred across its path, and beyond its ends; and near the focus, where cells are wide against the blur, it would jump
+from one to the next as the focus is pulled.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from spreadlets.runtime.plan import _streak_kernels
 
 LONGEST_PX = 128.0
 """Extent along an axis of the longest path that is a streak: the numbers of codes grow with its square."""
+LARGEST_DISC_PX = 2.5
+"""Radius from which cells are narrow enough, and fewer points than a disc's."""
 BOX_SHUTTER = (1.0, 1.0)
 """How far a shutter without a curve is open, from opening to closing."""
 
@@ -45,6 +48,12 @@ class Streaks(NamedTuple):
     counts: IntArray
 
 
+def largest_disc(model: PsfModel) -> float:
+    """Return the radius up to which PSFs are discs that are drawn as they are, px; -1 if the model's are no discs."""
+    is_round = model.axes[0].name == "coc" and model.n_channels == 1 and not model.settings
+    return LARGEST_DISC_PX if is_round else -1.0
+
+
 def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
     """Return the pixels that streaks cover.
 
@@ -59,8 +68,8 @@ def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
     given = codes, np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
     counts = np.zeros(len(codes), np.int64)
     nothing = np.zeros((0, 2), np.int32), np.zeros((0, 1), np.float32)
-    for_bands(_streak_kernels.draw_streaks, len(codes), *given, counts, *nothing)
+    for_bands(_streak_kernels.draw_own, len(codes), *given, counts, *nothing)
     start = np.cumsum(counts) - counts
     offset_rc, value = np.empty((counts.sum(), 2), np.int32), np.empty((counts.sum(), 1), np.float32)
-    for_bands(_streak_kernels.draw_streaks, len(codes), *given, start, offset_rc, value)
+    for_bands(_streak_kernels.draw_own, len(codes), *given, start, offset_rc, value)
     return Streaks(offset_rc, value, counts)

@@ -6,10 +6,11 @@ import pytest
 import spreadlets as sp
 from spreadlets.compiled import kernel
 from spreadlets.psf.model import get_model
-from spreadlets.runtime.plan._streak_kernels import streak_code
+from spreadlets.runtime.plan._streak_kernels import disc_code, streak_code
 from spreadlets.runtime.plan.streaks import draw_streaks
 
 CAMERA = sp.ThinLens(50.0, 36.0, 1e6, 4.0, shutter=(-0.5, 0.5))
+CLOSE = sp.ThinLens(50.0, 36.0, 0.05, 4.0, shutter=(-0.5, 0.5))
 SIZE = 48
 
 
@@ -26,6 +27,35 @@ def drawn(path, shift=(0.0, 0.0), curve=None):
     image = np.zeros((41, 41))
     image[tuple(streaks.offset_rc.T + 20)] = streaks.value[:, 0]
     return image
+
+
+@kernel
+def disc_coded(radius):
+    return disc_code(radius)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("radius", [0.5, 0.75, 1.5, 2.5])
+def test_a_small_disc_has_its_own_radius(radius):
+    discs = draw_streaks(np.array([disc_coded(radius)]), get_model("combined"))
+    assert discs.value.sum() == pytest.approx(1.0, abs=1e-6)
+    # The variance of a disc along an axis is r^2 / 4, that of a pixel 1 / 12.
+    variance = float((discs.value[:, 0] * discs.offset_rc[:, 0] ** 2).sum())
+    assert variance == pytest.approx(radius**2 / 4 - 1 / 12 if radius > 1 else variance, abs=0.25)
+    peak = 1.0 if radius <= 0.5 else 1.0 / (np.pi * radius**2) if radius > 0.71 else None
+    assert peak is None or discs.value.max() == pytest.approx(peak, rel=0.02)
+
+
+def test_near_the_focus_the_blur_grows_evenly(small_combined):
+    radiance = np.zeros((SIZE, SIZE, 3), np.float32)
+    radiance[SIZE // 2, SIZE // 2] = 0.5
+    seen = []
+    for coc in np.linspace(0.4, 2.4, 41):
+        depth = 1 / (1 / 4.0 - coc / CLOSE.coc_scale(SIZE))
+        image = sp.synthesize(sp.Frame(radiance, np.full((SIZE, SIZE), depth)), CLOSE, small_combined)
+        seen.append(image[SIZE // 2 - 4 : SIZE // 2 + 5, SIZE // 2 - 4 : SIZE // 2 + 5, 0])
+    steps = np.abs(np.diff(seen, axis=0)).sum(axis=(1, 2))
+    assert steps.max() < 0.2  # measured .135
 
 
 def centre(image):
@@ -57,7 +87,7 @@ def test_a_shutter_that_opens_slowly_shows_more_of_the_end():
 def test_codes_of_short_paths_are_small_and_differ():
     steps = np.arange(-8, 9) / 2
     codes = {coded(x, y, across, 0.25) for x in steps for y in steps for across in (-0.25, 0.0)}
-    assert len(codes) == 2 * 17**2 and max(codes) < 25 * 18**2
+    assert len(codes) == 2 * 17**2 and max(codes) < 2 * 25 * 18**2
 
 
 def test_what_moves_in_focus_is_not_blurred_across_its_path(small_combined):
