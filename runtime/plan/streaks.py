@@ -1,8 +1,8 @@
-"""Streaks and small discs: what is in focus and moves is drawn along its own path, what is nearly in focus by its own disc.
+"""Streaks and small discs: PSFs that are drawn as they are, not by cells.
 
-A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred; a texture in focus would
-be blurred across its path, and beyond its ends; and near the focus, where cells are wide against the blur, it would jump
-from one to the next as the focus is pulled.
+A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred. A texture that moves in
+focus would be blurred across its path, and beyond its ends; so it is drawn along its own. Near the focus, where cells
+are wide against the blur, it would jump from one to the next as the focus is pulled; so discs have their own radius.
 """
 
 from __future__ import annotations
