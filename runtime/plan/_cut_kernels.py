@@ -13,12 +13,14 @@ NOWHERE = -2.0
 
 
 @helper
-def _meet(first, second, meetings):
+def _meet(first, position, row, col, meetings):
     """Count a meeting of two places, step and path, if both are drawn; add how their paths differ."""
-    if first[0] >= 0.0 and second[0] >= 0.0:
-        nearer, farther = int(min(first[0], second[0])), int(max(first[0], second[0]))
+    second = position[row, col, 0]
+    if first[0] >= 0.0 and second >= 0.0:
+        nearer, farther = int(min(first[0], second)), int(max(first[0], second))
+        across, down = first[1] - position[row, col, 1], first[2] - position[row, col, 2]
         meetings[0, nearer, farther] += 1.0
-        meetings[1, nearer, farther] += math.hypot(first[1] - second[1], first[2] - second[2])
+        meetings[1, nearer, farther] += math.sqrt(across * across + down * down)
 
 
 @kernel
@@ -47,30 +49,29 @@ def count_steps(labels, at, stride, steps, position, sums, meetings, seams):
     """
     depth, coc, path, variant = labels
     listed, last = at.shape[0] > 0, sums.shape[1] - 0.5
-    here = np.empty(3)
     for row in range(0, depth.shape[0], 1 if listed else stride):
         for col in range(depth.shape[1]):
             if listed and at[row, col, 0] % stride:
                 continue
             # Find the pixel's step.
-            here[0], here[1], here[2] = NOWHERE, path[row, col, 0], path[row, col, 1]
+            place = NOWHERE
             if variant[row, col] >= 0:
-                here[0] = min(max((-1.0 / np.float64(depth[row, col]) - steps[0]) * steps[1], 0.0), last)
-                step = int(here[0])
-                sums[0, step] += 1.0
-                sums[1, step] += coc[row, col]
+                place = min(max((-1.0 / np.float64(depth[row, col]) - steps[0]) * steps[1], 0.0), last)
+                sums[0, int(place)] += 1.0
+                sums[1, int(place)] += coc[row, col]
+            here = place, np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
             # Count what it meets: the frame's pixel at its place, or those before it in the row.
             if listed:
-                _meet(here, position[at[row, col, 0] // stride, at[row, col, 1]], meetings)
+                _meet(here, position, at[row, col, 0] // stride, at[row, col, 1], meetings)
                 continue
-            line = position[row // stride]
-            line[col] = here
+            line = row // stride
+            position[line, col, 0], position[line, col, 1], position[line, col, 2] = here
             for distance in DISTANCES:
                 if col >= distance:
-                    _meet(here, line[col - distance], meetings)
+                    _meet(here, position, line, col - distance, meetings)
             # Count the border that parts it from its neighbour.
             if col > 0:
-                nearer, farther = min(here[0], line[col - 1, 0]), max(here[0], line[col - 1, 0])
+                nearer, farther = min(place, position[line, col - 1, 0]), max(place, position[line, col - 1, 0])
                 if farther - nearer < 1.0 and math.floor(farther) > math.floor(nearer):
                     seams[int(farther)] += 1.0
 
