@@ -128,7 +128,7 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_a_usual_run_loads_only_what_it_needs():
     """Half of what a run on a small frame takes is loading."""
     code = (
-        "import sys, spreadlets.cli.main, spreadlets.api, spreadlets.files.exr_frames\n"
+        "import sys, spreadlets.cli.main, spreadlets.api, spreadlets.files.exr_frames, spreadlets.runtime.render\n"
         "unwanted = 'scipy.ndimage', 'scipy.spatial', 'scipy.linalg', 'matplotlib', 'skimage'\n"
         "print([name for name in unwanted if name in sys.modules])"
     )

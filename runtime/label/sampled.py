@@ -52,12 +52,12 @@ def sample_steps(
     camera : ThinLens
     effects : Effects
     """
+    if samples.coc_radius is not None:
+        # What the file says of the lens holds for all times.
+        camera = replace(camera, keys=())
     sets, lists = [], []
     for number, pixels in enumerate(pixel_sets):
         layer = _sample_layer(samples, number)
-        if samples.coc_radius is not None:
-            # What the file says of the lens holds for all times.
-            camera = replace(camera, keys=())
         first, *steps = in_time(layer, pixels, camera, effects)
         sets.append(first)
         if steps:

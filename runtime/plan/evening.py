@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
@@ -76,4 +75,6 @@ def _in_pixels(values: Image, bins: int) -> Image:
 
 
 def _mean_around(values: Image, size: int) -> Image:
-    return np.asarray(ndimage.uniform_filter(values, size, mode="constant"), np.float32)
+    from scipy.ndimage import uniform_filter
+
+    return np.asarray(uniform_filter(values, size, mode="constant"), np.float32)
