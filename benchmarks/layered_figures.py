@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from scenes import Report, Scene, parser, result_path, scenes
+from scenes import Report, Scene, parser, result_path, save_tables, scenes
 from sheared import traced
 from skimage.transform import downscale_local_mean
 
@@ -208,13 +208,7 @@ def main() -> None:
     options.add_argument("--figures", nargs="+", choices=FIGURES, default=list(FIGURES))
     given = options.parse_args()
     found = scenes(given.frames, "_samples.exr", "_layer0.exr", "_ref_dofmb.exr")
-    for name in given.figures:
-        make, head = FIGURES[name]
-        report = Report()
-        report.row(*head)
-        for scene in found:
-            make(report, scene)
-        report.save(f"layered_{name}.txt")
+    save_tables({name: FIGURES[name] for name in given.figures}, found, "layered")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """The rendered frames that several studies share, and pictures of results beside their references."""
 
+from __future__ import annotations
+
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -140,3 +142,15 @@ class Report:
     def save(self, name: str) -> None:
         """Write what was added to a file of the results."""
         result_path(name).write_text("\n".join(self.lines) + "\n")
+
+
+def save_tables(
+    tables: Mapping[str, tuple[Callable[[Report, Scene], None], Sequence[str]]], found: Iterable[Scene], study: str
+) -> None:
+    """Make tables, each by a function of report and scene under a head, and write them as STUDY_NAME.txt."""
+    for name, (make, head) in tables.items():
+        report = Report()
+        report.row(*head)
+        for scene in found:
+            make(report, scene)
+        report.save(f"{study}_{name}.txt")

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from scenes import Report, Scene, parser, result_path, save_pictures, scenes
+from scenes import Report, Scene, parser, result_path, save_pictures, save_tables, scenes
 from scipy import ndimage
 
 import spreadlets as sp
@@ -325,13 +325,7 @@ def main() -> None:
     given = options.parse_args()
     found = scenes(given.frames, "_samples.exr", "_layer0.exr", "_ref_dofmb.exr")
     visibility(result_path("sheared_visibility.png"))
-    for name in given.tables:
-        make, head = TABLES[name]
-        report = Report()
-        report.row(*head)
-        for scene in found:
-            make(report, scene)
-        report.save(f"sheared_{name}.txt")
+    save_tables({name: TABLES[name] for name in given.tables}, found, "sheared")
 
 
 if __name__ == "__main__":
