@@ -1,3 +1,4 @@
+import gc
 import json
 import subprocess
 import sys
@@ -9,6 +10,9 @@ from spreadlets import workers
 from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.build.build import build_database
 from spreadlets.psf.database import open_database
+
+# As the command does, see `spreadlets.cli.main`.
+gc.set_threshold(100_000)
 
 # Databases that tests build are compared with the exact PSF at a few places: a thousand take many seconds.
 between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2

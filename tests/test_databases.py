@@ -16,9 +16,9 @@ from spreadlets.psf.database import open_database
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
 FRESH = "built from scratch"
 
-N_SAMPLED = {"volume": 8, "physicallens": 12}
+N_SAMPLED = {"volume": 4, "stylized": 12, "physicallens": 12}
 """Spreadlets that are traced and reconstructed in each database, spread evenly over its cells; of others as many as
-`USUALLY_SAMPLED`. Rays through a medium or through glass take longest to trace."""
+`USUALLY_SAMPLED`. Some take long to trace."""
 USUALLY_SAMPLED = 24
 
 LARGE_COC = 4.0
