@@ -111,12 +111,28 @@ def thin_lens_rows(times: np.ndarray) -> list[str]:
     iris = lens(sp.LensKey(-0.25, f_number=0.7), sp.LensKey(0.25, f_number=4.0))
     truth = mean(lambda t: blurred(shown, iris.at(t), depth), times)
     rows.append(row("iris, f/.7 to f/4", plane(shown, depth), iris, truth))
+    rows.append(dolly_row(shown, depth, times))
     still = blurred(shown, lens(), depth)
     motion = np.broadcast_to(np.float32([40.0, 20.0]), (HEIGHT, WIDTH, 2))
     truth = mean(lambda t: ndimage.shift(still, (20 * t, 40 * t, 0), order=3, mode="nearest"), times)
     for database in ("combined", "simplelens"):
         rows.append(row(f"straight motion, {database}", plane(shown, depth, motion=motion), lens(), truth, database))
     return rows
+
+
+def dolly_row(shown: np.ndarray, depth: float, times: np.ndarray) -> str:
+    """Return the row of a camera that comes nearer by 2 m in a frame, with no labels but its poses."""
+    keys = []
+    for time_ in SHUTTER:
+        pose = np.eye(4)
+        pose[2, 3] = -2.0 * time_
+        keys.append(sp.LensKey(time_, camera_to_world=pose))
+
+    def nearer(t: float) -> np.ndarray:
+        left = depth - 2.0 * t
+        return blurred(scaled(shown, depth / left), lens(), left)
+
+    return row("the camera comes nearer by 1 m", plane(shown, depth), lens(*keys), mean(nearer, times))
 
 
 def mean(moment: Callable[[float], np.ndarray], times: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond,
 from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
+from spreadlets.runtime.label.carried import carried, moves_itself
 from spreadlets.runtime.label.fireflies import clamp_fireflies
 from spreadlets.runtime.label.labels import illumination, view_differences
 from spreadlets.runtime.label.lists import Pixels
@@ -31,7 +32,7 @@ from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.evening import evened
 from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
-from spreadlets.runtime.report import Report, Tally, plan_figures
+from spreadlets.runtime.report import CAMERA, NOTHING_MOVES, VECTORS, Report, Tally, plan_figures
 from spreadlets.runtime.splat.gather import gather
 from spreadlets.runtime.splat.passes import DIRECT, GROUPS, STRIDES, Canvas, Runs, canvas_of, find_runs, union
 from spreadlets.runtime.splat.splat import add_to_canvas, splat_direct, splat_laplacian, sum_rows
@@ -134,6 +135,12 @@ def synthesize_all(
     with clock.step("plan"):
         clamped = [_clamped_frame(each.layers, options.firefly_clamp) for each in frames]
         shown, tally.clamped = [layers for layers, _ in clamped], clamped[0][1]
+        around = [squared(each).layers[0] for each in neighbours]
+        if options.motion:
+            tally.motion_from = VECTORS if moves_itself(shown[0]) else CAMERA if camera.moves_picture else NOTHING_MOVES
+            if camera.moves_picture:
+                shown = [carried(layers, camera) for layers in shown]
+                around = [layer for each in around for layer in carried([each], camera)]
     if options.method == "gather":
         images = [_filtered(each, camera, database, options, clock, tally, dense_psf) for each in shown]
     else:
@@ -142,7 +149,6 @@ def synthesize_all(
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
         given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
-            around = [squared(each).layers[0] for each in neighbours]
             images = _drawn_by_depth([each[0] for each in shown], *given, neighbours=around, closed=closed)
         else:
             images = _drawn_in_layers(shown, *given, closed=closed)
@@ -265,6 +271,8 @@ def reconstruct(
     a layer is a hole in it.
     """
     options, clock, tally = options or Options(), clock or Clock(), Tally()
+    if options.motion and samples.motion.any():
+        tally.motion_from = VECTORS
     _warn_about_view(database, camera, samples.raster.display.width)
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)

@@ -12,6 +12,9 @@ from spreadlets.runtime.memory import peak_rss_mb
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.runtime.splat.passes import Canvas
 
+VECTORS, CAMERA, NOTHING_MOVES = "vectors", "camera", "none"
+"""Where motion comes from: the vectors of what is drawn, or the move of the camera; or nothing moves."""
+
 
 class Record(Mapping[str, Any]):
     """A dataclass whose fields can be read by their names, too, as those of a dict."""
@@ -58,6 +61,9 @@ class PlanFigures(Record):
         How far beyond the frame there was something to compute.
     left_out : list of str
         What the frame did not need.
+    motion_from : str
+        What says how the picture moves: its own ``"vectors"``; or, as it has none, the move of the ``"camera"``, as if
+        nothing else moved; or ``"none"``.
     """
 
     layers: int
@@ -72,6 +78,7 @@ class PlanFigures(Record):
     error_bound: float
     padding_px: int
     left_out: list[str]
+    motion_from: str
 
 
 class Tally:
@@ -82,6 +89,7 @@ class Tally:
         self.layers = 0
         self.padding = 0
         self.clamped = 0
+        self.motion_from = NOTHING_MOVES
 
     def add_plan(self, plan: Plan, n_layers: int) -> None:
         """Add a plan and how many layers it drew."""
@@ -136,4 +144,5 @@ def plan_figures(tally: Tally, database: Database) -> PlanFigures:
         error_bound=max(plan.error_bound for plan in plans),
         padding_px=tally.padding,
         left_out=[name for name in plans[0].left_out if name in left_out],
+        motion_from=tally.motion_from,
     )

@@ -310,7 +310,8 @@ class Renderer:
             options = replace(options, max_coc=options.max_coc * options.proxy)
         # Open the database for what moves.
         with self._lock:
-            database = self._open(options.motion and any(layer.has_motion for layer in frames[0].layers))
+            moving = camera.moves_picture or any(layer.has_motion for layer in frames[0].layers)
+            database = self._open(options.motion and moving)
         # Render; PSFs that the database lacks are built, and then once more.
         try:
             psfs = full_psfs(database, options)

@@ -8,7 +8,6 @@ do not move are drawn at places along the path, close enough to make one streak.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
-from spreadlets.runtime.label.labels import Labels, View
+from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels, listed
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
@@ -184,19 +183,6 @@ def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
     place = np.empty_like(before)
     for_bands(_label_kernels.path_places, len(place), before, after, time, place)
     return place
-
-
-def zoomed(layer: Layer, camera: ThinLens) -> Layer:
-    """Return a layer with the motion of a zoom.
-
-    Where a frame has motion, that of the zoom is taken to be in it, as renderers' vectors hold it.
-    """
-    opens, closes = (camera.value_at("focal_length_mm", time) for time in camera.shutter)
-    if opens == closes or layer.motion.any():
-        return layer
-    growth = (closes - opens) / (camera.value_at("focal_length_mm", 0.0) * camera.shutter_duration)
-    place = View(layer.depth, 1.0, 1.0, layer.raster.off_middle).position()
-    return replace(layer, motion=np.float32(growth) * place, has_motion=True)
 
 
 def rolled(layer: Layer, labels: Labels, camera: ThinLens) -> Labels:

@@ -12,7 +12,7 @@ from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, Places, camera_view
 from spreadlets.runtime.label.lists import Pixels, joined
-from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled, zoomed
+from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled
 from spreadlets.runtime.label.surfaces import Split, Surface, split_surfaces, undivided
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
@@ -64,7 +64,6 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
     effects : Effects
     """
     middle = camera.at(camera.shutter_centre)
-    layer = zoomed(layer, camera) if effects.motion and camera.keys else layer
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
     surfaces = (split if is_blurred else undivided)(layer, middle)
     return [labelled(each, layer.shape, camera, effects) for each in surfaces]

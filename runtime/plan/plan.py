@@ -17,6 +17,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.remembered import Remembered
+from spreadlets.runtime.label.carried import carried
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, NO_SHIFT, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
@@ -174,8 +175,9 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
     cell_start = np.concatenate([[0], np.cumsum(grid.pose_counts)])
     needed: set[tuple[int, int]] = set()
     effects = Effects(defocus=True, motion=True, swept=grid.model.has_motion)
-    for layer in frame.layers:
-        if len(frame.layers) == 1:
+    layers = carried(frame.layers, camera) if camera.moves_picture else frame.layers
+    for layer in layers:
+        if len(layers) == 1:
             pixel_sets = divide_frames([layer], camera, effects).pixel_sets[0]
         else:
             pixel_sets = surface_pixels(frame_surfaces(layer, camera, effects, split_surfaces), camera, effects)

@@ -9,9 +9,11 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
+
+import numpy as np
 
 from spreadlets.arrays import PathLike
 from spreadlets.errors import (
@@ -24,13 +26,14 @@ from spreadlets.errors import (
 from spreadlets.files.exr_file import Source, opened
 from spreadlets.files.kinds import OPENEXR, file_kind
 from spreadlets.scene.camera import KEYED, MM_PER_M, LensKey, LensModel, SensorFit, ThinLens, checked_number
+from spreadlets.scene.pose import Pose, checked_pose, rigid
 
 MAX_CAMERA_BYTES = 1 << 20
 """A camera file holds a few numbers; 1 MiB is far above any real one and keeps a wrong file from filling memory."""
 
 NUMBER_KEYS = ("focal_length_mm", "sensor_width_mm", "f_number", "focus_distance_m")
 SHUTTER_KEY = "shutter_open_close_frames"
-OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm", "keys", "readout_frames")
+OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm", "keys", "readout_frames", "camera_to_world")
 
 DESCRIPTIVE_KEYS = frozenset(
     (
@@ -74,7 +77,9 @@ class CameraValues(TypedDict, total=False):
     lens_model: LensModel | None
 
 
-def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) -> ThinLens:
+def read_camera(
+    path: PathLike | None = None, *, time_code: float | None = None, **values: Unpack[CameraValues]
+) -> ThinLens:
     """Read a camera from a file, or make one of single values.
 
     Parameters
@@ -82,9 +87,12 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
     path : path, optional
         A JSON object with the numbers ``focal_length_mm``, ``sensor_width_mm``, ``f_number``, ``focus_distance_m``
         (``Infinity`` or ``"inf"`` is allowed) and the pair ``shutter_open_close_frames``; optionally ``lens_model``,
-        ``sensor_fit`` and ``sensor_height_mm``. Or an OpenEXR file with camera attributes: OpenEXR's standard ones,
-        or those of V-Ray, Redshift, Arnold, Unreal, or a note of Blender's that holds such JSON. Or a USD file,
-        optionally followed by a colon and the camera's path, ``shot.usda:/World/Camera``; needs the extra ``usd``.
+        ``sensor_fit``, ``sensor_height_mm``, ``readout_frames``, ``camera_to_world`` (4 rows) and ``keys``, see
+        `ThinLens`. Or an OpenEXR file with camera attributes: OpenEXR's standard ones, or those of V-Ray, Redshift,
+        Arnold, Unreal, or a note of Blender's that holds such JSON. Or a USD file, optionally followed by a colon and
+        the camera's path, ``shot.usda:/World/Camera``; needs the extra ``usd``. What is animated in it is keyed.
+    time_code : float, optional
+        Of a USD file, the frame's; by default where the file begins.
     **values
         Parameters of `ThinLens`, which override the file's; the shutter also as ``"180deg"`` or ``"OPEN,CLOSE"``.
 
@@ -124,7 +132,11 @@ def read_camera(path: PathLike | None = None, **values: Unpack[CameraValues]) ->
     if path is None:
         return _camera(given, "the camera", HALF_A_FRAME)
     try:
-        found, defaults = _values_in_file(path, given)
+        found, defaults = _values_in_file(path, given, time_code)
+        if "keys" in found:
+            # What is given holds at all times.
+            unkeyed: dict[str, Any] = {name: None for name in KEYED if name in given}
+            found["keys"] = tuple(replace(key, **unkeyed) for key in found["keys"])
         return _camera(found | given, "", defaults)
     except (InvalidCameraError, InvalidFileError) as error:
         text = str(error)
@@ -149,7 +161,11 @@ def frame_camera(path: Source, scene_scale: float = 1.0) -> dict[str, Any]:
 
 
 def camera_of(
-    path: str | None, values: Mapping[str, Any], frame: Source | None = None, scene_scale: float = 1.0
+    path: str | None,
+    values: Mapping[str, Any],
+    frame: Source | None = None,
+    scene_scale: float = 1.0,
+    time_code: float | None = None,
 ) -> ThinLens:
     """Return the camera of a file and single values; without a file, of what the frame itself carries.
 
@@ -163,6 +179,8 @@ def camera_of(
         The frame's file.
     scene_scale : float
         Metres of the frame's unit.
+    time_code : float, optional
+        Of an animated USD file, the frame's.
 
     Raises
     ------
@@ -177,7 +195,31 @@ def camera_of(
                 f"no camera: give {names[0]} FILE, or {names[1]}, {names[2]} and {names[3]}; the frame carries none"
             )
         values = carried | dict(values)
-    return read_camera(path, **dict(values))
+    return read_camera(path, time_code=time_code, **dict(values))
+
+
+def moved_along(camera: ThinLens, around: Sequence[tuple[float, str]], scene_scale: float = 1.0) -> ThinLens:
+    """Return a camera with the poses that the cameras of other frames of a sequence have, as keys.
+
+    Parameters
+    ----------
+    camera : ThinLens
+        Without keys of its own pose, and with one, else it is returned as it is.
+    around : sequence of (float, str)
+        Times, frames from the camera's own, and files: of cameras, or frames that carry them.
+    scene_scale : float
+        Metres of the frames' unit.
+    """
+    if camera.camera_to_world is None or any(key.camera_to_world is not None for key in camera.keys):
+        return camera
+    keys = [LensKey(0.0, camera_to_world=camera.camera_to_world)]
+    for time, path in around:
+        if file_kind(path) == OPENEXR:
+            pose = frame_camera(path, scene_scale).get("camera_to_world")
+        else:
+            pose = _json_values(_read_object(Path(path))).get("camera_to_world")
+        keys += [] if pose is None else [LensKey(time, camera_to_world=pose)]
+    return camera if len(keys) == 1 else replace(camera, keys=(*camera.keys, *keys))
 
 
 def _carried_values(headers: Sequence[Mapping[str, Any]], scene_scale: float = 1.0) -> dict[str, Any]:
@@ -232,11 +274,13 @@ def _camera(found: Mapping[str, Any], lacking: str, defaults: Mapping[str, Any])
     return ThinLens(**values)
 
 
-def _values_in_file(path: PathLike, given: Mapping[str, Any]) -> tuple[dict[str, Any], Mapping[str, Any]]:
+def _values_in_file(
+    path: PathLike, given: Mapping[str, Any], time_code: float | None
+) -> tuple[dict[str, Any], Mapping[str, Any]]:
     """Return what a file says of a camera, and what is assumed where it says nothing."""
     name, prim = _usd_place(os.fspath(path))
     if name is not None:
-        return _usd_values(name, prim), HALF_A_FRAME
+        return _usd_values(name, prim, time_code), HALF_A_FRAME
     if file_kind(path) == OPENEXR:
         with opened(path) as (file,):
             found = _carried_values(file.headers)
@@ -313,20 +357,27 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
         values["keys"] = _json_keys(content["keys"])
     if "readout_frames" in content:
         values["readout_frames"] = checked_number("readout_frames", content["readout_frames"])
+    # Where the camera is.
+    if "camera_to_world" in content:
+        values["camera_to_world"] = checked_pose("camera_to_world", content["camera_to_world"])  # type: ignore[arg-type]
     return values
 
 
 def _json_keys(given: object) -> tuple[LensKey, ...]:
-    """Return the keys of a lens that a parsed JSON file holds."""
-    allowed = ("time", *KEYED)
+    """Return the keys of a camera that a parsed JSON file holds."""
+    allowed = ("time", *KEYED, "camera_to_world")
     if not isinstance(given, list) or not all(isinstance(key, dict) and "time" in key for key in given):
-        raise InvalidCameraError(f"keys is {given!r}; it must be a list of objects with time and {', '.join(KEYED)}")
+        names = ", ".join(allowed[1:])
+        raise InvalidCameraError(f"keys is {given!r}; it must be a list of objects with time and {names}")
     found = []
     for key in given:
         unknown = sorted(key.keys() - set(allowed))
         if unknown:
             raise InvalidCameraError(f"a key has {', '.join(unknown)}; allowed are {', '.join(allowed)}")
-        found.append(LensKey(**{name: checked_number(f"{name} of a key", value) for name, value in key.items()}))
+        numbers = {
+            name: checked_number(f"{name} of a key", value) for name, value in key.items() if name != "camera_to_world"
+        }
+        found.append(LensKey(**numbers, camera_to_world=key.get("camera_to_world")))
     return tuple(found)
 
 
@@ -450,7 +501,23 @@ def attribute_values(header: Mapping[str, Any], scene_scale: float = 1.0) -> dic
             found.setdefault("focal_length_mm", found["sensor_width_mm"] / ratio)
         elif "focal_length_mm" in found:
             found["sensor_width_mm"] = found["focal_length_mm"] * ratio
-    return found | _noted_values(lowered)
+    return found | _carried_pose(lowered, abs(scene_scale)) | _noted_values(lowered)
+
+
+def _carried_pose(lowered: Mapping[str, Any], metres: float) -> dict[str, Pose]:
+    """Return where the camera is by OpenEXR's attribute worldToCamera, which multiplies rows from the right.
+
+    Renderers whose space is mirrored against the world's, such as RenderMan, look along z; the others along -z.
+    """
+    stored = np.asarray(lowered.get("worldtocamera", ()))
+    if stored.shape != (4, 4) or not np.isfinite(stored).all() or not np.linalg.det(stored.astype(np.float64)):
+        return {}
+    matrix = np.linalg.inv(stored.T.astype(np.float64))
+    if np.linalg.det(matrix) < 0:
+        matrix[:, 2] *= -1.0
+    pose = rigid(matrix)
+    pose[:3, 3] *= metres
+    return {"camera_to_world": checked_pose("worldToCamera", pose)}
 
 
 def _number(value: Any) -> float | None:
@@ -495,8 +562,8 @@ def _usd_place(path: str) -> tuple[str | None, str | None]:
     return (path, None) if path.lower().endswith(USD_SUFFIXES) else (None, None)
 
 
-def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
-    """Return the values of a camera in a USD file."""
+def _usd_values(path: str, prim_path: str | None, time_code: float | None) -> dict[str, Any]:
+    """Return the values of a camera in a USD file at a time, with keys of what changes around it."""
     # Find the camera.
     try:
         from pxr import Tf, Usd, UsdGeom  # type: ignore[import-not-found,unused-ignore]
@@ -513,6 +580,7 @@ def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
     camera = UsdGeom.Camera(_usd_prim(stage, prim_path, lambda prim: bool(prim.IsA(UsdGeom.Camera))))
     # USD counts lengths of lens and sensor in tenths of the scene's unit; many files count them in millimetres.
     time = Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+    time = time if time_code is None else Usd.TimeCode(time_code)
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     mm = metres * USD_MM_PER_TENTH
     width = camera.GetHorizontalApertureAttr().Get(time)
@@ -523,20 +591,51 @@ def _usd_values(path: str, prim_path: str | None) -> dict[str, Any]:
             stacklevel=4,
         )
         mm = 1.0
-    # Read the values; a shutter of no length, an f-number or a focus of 0 was not set.
+    # Read the values; a shutter of no length was not set.
     values: dict[str, Any] = {
-        "focal_length_mm": camera.GetFocalLengthAttr().Get(time) * mm,
         "sensor_width_mm": width * mm,
         "sensor_height_mm": camera.GetVerticalApertureAttr().Get(time) * mm,
         "shutter": (camera.GetShutterOpenAttr().Get(time), camera.GetShutterCloseAttr().Get(time)),
     }
-    optional = {
+    if values["shutter"] == (0.0, 0.0):
+        del values["shutter"]
+    now = _usd_moment(camera, time, mm, metres)
+    return values | now | _usd_keys(stage, camera, time, now, mm, metres)
+
+
+def _usd_moment(camera: Any, time: Any, mm: float, metres: float) -> dict[str, Any]:
+    """Return what may be animated of a camera in a USD file, at a time; what is 0 was not set."""
+    pose = rigid(np.asarray(camera.ComputeLocalToWorldTransform(time)).T)
+    pose[:3, 3] *= metres
+    found = {
+        "focal_length_mm": camera.GetFocalLengthAttr().Get(time) * mm,
         "f_number": camera.GetFStopAttr().Get(time),
         "focus_distance_m": camera.GetFocusDistanceAttr().Get(time) * metres,
     }
-    if values["shutter"] == (0.0, 0.0):
-        del values["shutter"]
-    return values | {name: value for name, value in optional.items() if value > 0}
+    return {name: value for name, value in found.items() if value > 0} | {
+        "camera_to_world": checked_pose(f"the transform of {camera.GetPath()}", pose)
+    }
+
+
+def _usd_keys(
+    stage: Any, camera: Any, time: Any, now: Mapping[str, Any], mm: float, metres: float
+) -> dict[str, tuple[LensKey, ...]]:
+    """Return the camera at the file's samples from one frame before a time to one after as keys, if it changes."""
+    from pxr import UsdGeom
+
+    # Find the samples, in frames from the time; beyond a frame they are interpolated.
+    parents = [prim for path in camera.GetPath().GetPrefixes() if (prim := stage.GetPrimAtPath(path))]
+    sampled = [UsdGeom.Xformable(prim).GetTimeSamples() for prim in parents if prim.IsA(UsdGeom.Xformable)]
+    lens = camera.GetFocalLengthAttr(), camera.GetFStopAttr(), camera.GetFocusDistanceAttr()
+    sampled += [attribute.GetTimeSamples() for attribute in lens]
+    frame = stage.GetTimeCodesPerSecond() / (stage.GetFramesPerSecond() or stage.GetTimeCodesPerSecond())
+    middle = 0.0 if time.IsEarliestTime() else time.GetValue()
+    found = {min(max((code - middle) / frame, -1.0), 1.0) for codes in sampled for code in codes}
+    # Read the camera at each.
+    moments = {at: _usd_moment(camera, middle + at * frame, mm, metres) for at in found - {0.0}}
+    if all(moment == now for moment in moments.values()):
+        return {}
+    return {"keys": tuple(LensKey(at, **moment) for at, moment in sorted(({0.0: now} | moments).items()))}
 
 
 def _usd_prim(stage: Any, prim_path: str | None, is_camera: Callable[[Any], bool]) -> Any:

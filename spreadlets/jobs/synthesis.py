@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.files.images import OPENEXR, image_extension
-from spreadlets.files.sequence import numbered
+from spreadlets.files.sequence import is_pattern, numbered
 from spreadlets.jobs.job import Job, PathChange, Progress, compared
 
 if TYPE_CHECKING:
@@ -60,6 +60,11 @@ class Synthesis(Job):
     hidden_from : sequence of (str, mapping)
         Frames right before or after, from which what is hidden is taken, each with how to read it. Of a sequence they
         are sequences, of which those before and after each frame are taken, if they are there.
+    cameras_around : sequence of (float, str)
+        Files that hold the cameras of the frames before and after, with their times: a camera that goes from one to the
+        other carries the picture along. Of a sequence they are found by their numbers.
+    time_code : float or None
+        Of an animated camera in a USD file, the frame's number.
     """
 
     reading: Mapping[str, Any] = field(default_factory=dict)
@@ -68,6 +73,8 @@ class Synthesis(Job):
     pass_through: bool = False
     output_coc: str | None = None
     hidden_from: Sequence[tuple[str, Mapping[str, Any]]] = ()
+    cameras_around: Sequence[tuple[float, str]] = ()
+    time_code: float | None = None
 
     @property
     def others(self) -> list[str]:
@@ -94,6 +101,7 @@ class Synthesis(Job):
             aperture=_changed(self.aperture, ("kernel",), change),
             output_coc=self.output_coc and change(self.output_coc),
             hidden_from=[(change(path), _changed(reading, PASSES, change)) for path, reading in self.hidden_from],
+            cameras_around=[(time, change(path)) for time, path in self.cameras_around],
         )
 
     def numbered(self, number: int) -> Self:
@@ -104,7 +112,11 @@ class Synthesis(Job):
             for at in (number - 1, number + 1)
         ]
         there = [(path, reading) for path, reading in around if os.path.exists(path)]
-        return replace(super().numbered(number), hidden_from=there)
+        # The camera may go on from frame to frame.
+        pattern = self.camera or self.inputs[0]
+        cameras = [(float(step), numbered(pattern, number + step)) for step in (-1, 1)] if is_pattern(pattern) else []
+        cameras = [(time, path) for time, path in cameras if os.path.exists(path)]
+        return replace(super().numbered(number), hidden_from=there, cameras_around=cameras, time_code=float(number))
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if files or options do not fit each other."""
@@ -137,7 +149,7 @@ class Synthesis(Job):
         rendering = dict(self.rendering)
         if rendering.get("mask"):
             rendering["mask"] = read_plane(rendering["mask"])
-        database = self._database(frame)
+        database = self._database(frame, camera)
         around = [neighbour for neighbour, _ in given.neighbours]
         # What is hidden in further colours is taken from theirs, which takes a plan of its own.
         frames = [] if around else [element for _, element in given.elements]
@@ -162,13 +174,15 @@ class Synthesis(Job):
     def _read(self) -> _Given:
         """Read all that the files hold for this image."""
         from spreadlets.files import exr_frames as exr
-        from spreadlets.files.cameras import camera_of
+        from spreadlets.files.cameras import camera_of, moved_along
         from spreadlets.files.exr_file import opened
         from spreadlets.files.further_channels import other_channels, with_colours
         from spreadlets.files.recognise import ReadOptions
 
         with opened(self.inputs) as files:
-            camera = camera_of(self.camera, self.lens, files[0], self.reading.get("depth_scale", 1.0))
+            scale = self.reading.get("depth_scale", 1.0)
+            camera = camera_of(self.camera, self.lens, files[0], scale, self.time_code)
+            camera = moved_along(camera, self.cameras_around, scale)
             options = ReadOptions(**self.reading, camera=camera)
             frame = exr.read_frame(files, options=options)
             elements = list(with_colours(files, frame, self.also, options.view))
@@ -189,13 +203,14 @@ class Synthesis(Job):
             frame = exr.read_frame(files, options=options)
             return frame, dict(with_colours(files, frame, self.also, options.view))
 
-    def _database(self, frame: Frame) -> Database | Model:
+    def _database(self, frame: Frame, camera: ThinLens) -> Database | Model:
         """Return where the PSFs come from: the aperture's model, or an open database."""
         from spreadlets.bokeh import bokeh_model
         from spreadlets.jobs.databases import kept_database
         from spreadlets.renderer import default_database
 
-        moving = bool(self.rendering.get("motion", True)) and any(layer.has_motion for layer in frame.layers)
+        moves = camera.moves_picture or any(layer.has_motion for layer in frame.layers)
+        moving = bool(self.rendering.get("motion", True)) and moves
         if self.aperture:
             return bokeh_model(moving=moving, **self.aperture)
         return kept_database(self.database or default_database(moving))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.errors import InvalidCameraError, InvalidParameterError
+from spreadlets.scene.pose import Pose, checked_pose, pose_between
 
 LensModel = Literal["renderer", "textbook"]
 SensorFit = Literal["horizontal", "vertical", "auto"]
@@ -19,7 +21,7 @@ MM_PER_M = 1000.0
 
 @dataclass(frozen=True)
 class LensKey:
-    """Settings of a lens at a time; between two keys they change evenly, before the first and after the last they stay.
+    """A camera at a time; between two keys it changes evenly, before the first and after the last it stays as it is.
 
     Parameters
     ----------
@@ -27,11 +29,13 @@ class LensKey:
         Frames, relative to the label's time.
     focal_length_mm, f_number, focus_distance_m : float, optional
         As for `ThinLens`; what is not given is not keyed at this time.
+    camera_to_world : tuple of 4 rows, optional
+        Where the camera is and how it looks, as for `ThinLens`.
 
     Raises
     ------
     InvalidCameraError
-        If the time is not a finite number.
+        If the time is not a finite number, or the pose is none.
 
     Examples
     --------
@@ -43,14 +47,16 @@ class LensKey:
     focal_length_mm: float | None = None
     f_number: float | None = None
     focus_distance_m: float | None = None
+    camera_to_world: Pose | None = None
 
     def __post_init__(self) -> None:
         if not math.isfinite(checked_number("time of a key", self.time)):
             raise InvalidCameraError(f"the time of a key is {self.time}; it must be finite, in frames")
+        _check_pose(self, f"camera_to_world at {self.time:g} frames")
 
 
 KEYED = ("focal_length_mm", "f_number", "focus_distance_m")
-"""What may change while the shutter is open."""
+"""Numbers that may change while the shutter is open."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +84,12 @@ class ThinLens:
     sensor_height_mm : float, optional
         Height of the sensor in millimetres, > 0, for a vertical fit; by default the width is taken.
     keys : tuple of LensKey
-        How the lens changes while the shutter is open: a pull of focus, a zoom, an iris that closes.
+        How the camera changes while the shutter is open: a pull of focus, a zoom, an iris that closes, a move.
     readout_frames : float
         Rolling shutter: by how much later, in frames, the last row is exposed than the first; negative for earlier.
+    camera_to_world : tuple of 4 rows, optional
+        Where the camera is and how it looks: the matrix that takes its space to the world's, both in metres. The camera
+        looks along -z, x points to the right and y up. What counts is how the poses of `keys` differ.
 
     Raises
     ------
@@ -106,6 +115,7 @@ class ThinLens:
     sensor_height_mm: float | None = None
     keys: tuple[LensKey, ...] = ()
     readout_frames: float = 0.0
+    camera_to_world: Pose | None = None
 
     def __post_init__(self) -> None:
         height = () if self.sensor_height_mm is None else ("sensor_height_mm",)
@@ -121,6 +131,7 @@ class ThinLens:
             raise InvalidCameraError(f"lens_model is {self.lens_model!r}; allowed are {', '.join(get_args(LensModel))}")
         if not math.isfinite(checked_number("readout_frames", self.readout_frames)):
             raise InvalidCameraError(f"readout_frames is {self.readout_frames}; it must be finite")
+        _check_pose(self, "camera_to_world")
         self._check_keys()
 
     def _check_keys(self) -> None:
@@ -153,10 +164,8 @@ class ThinLens:
         """
         if not self.keys:
             return self
-        focal_length_mm, f_number, focus_distance_m = (self.value_at(name, time) for name in KEYED)
-        return replace(
-            self, keys=(), focal_length_mm=focal_length_mm, f_number=f_number, focus_distance_m=focus_distance_m
-        )
+        values: dict[str, Any] = {name: self.value_at(name, time) for name in KEYED}
+        return replace(self, keys=(), camera_to_world=self.pose_at(time), **values)
 
     def value_at(self, name: str, time: float) -> float:
         """Return a keyed value at a time; it changes evenly between keys."""
@@ -165,6 +174,32 @@ class ThinLens:
             return float(getattr(self, name))
         times, values = np.array(given).T
         return float(np.interp(time, times, values))
+
+    def pose_at(self, time: float) -> Pose | None:
+        """Return where the camera is and how it looks at a time; None if nothing says it.
+
+        Examples
+        --------
+        >>> aside = ((1, 0, 0, 2), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+        >>> still = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+        >>> keys = sp.LensKey(0, camera_to_world=still), sp.LensKey(1, camera_to_world=aside)
+        >>> sp.ThinLens(50, 36, 2, 3, keys=keys).pose_at(0.5)[0]
+        (1.0, 0.0, 0.0, 1.0)
+        """
+        given = sorted((key.time, key.camera_to_world) for key in self.keys if key.camera_to_world is not None)
+        if not given:
+            return self.camera_to_world
+        for (begin, first), (end, second) in itertools.pairwise(given):
+            if begin < time < end:
+                return pose_between(first, second, (time - begin) / (end - begin))
+        return given[0][1] if time <= given[0][0] else next(pose for at, pose in reversed(given) if at <= time)
+
+    @property
+    def moves_picture(self) -> bool:
+        """Whether the camera itself makes all that it sees move: it has several poses, or several focal lengths."""
+        poses = {key.camera_to_world for key in self.keys} - {None}
+        zooms = {key.focal_length_mm for key in self.keys} - {None}
+        return len(poses) > 1 or len(zooms) > 1
 
     def fitted(self, shape: tuple[int, int], pixel_aspect: float = 1.0) -> ThinLens:
         """Return the camera with the sensor's width that spans the width of an image.
@@ -260,6 +295,12 @@ class ThinLens:
         dtype = np.float32 if z.dtype in (np.float16, np.float32) else np.float64
         radius = self.coc_scale(image_width) * (1.0 / self.focus_distance_m - 1.0 / z.astype(np.float64))
         return np.asarray(radius, dtype=dtype)
+
+
+def _check_pose(holder: LensKey | ThinLens, name: str) -> None:
+    """Keep the pose of a camera as tuples, or raise InvalidCameraError."""
+    if holder.camera_to_world is not None:
+        object.__setattr__(holder, "camera_to_world", checked_pose(name, holder.camera_to_world))
 
 
 def checked_number(name: str, value: object) -> float:

@@ -61,17 +61,6 @@ def test_an_iris_that_closes_changes_the_blur_alone():
     assert inner_ssim(sp.synthesize(plane(9.0), camera), truth) > 0.995
 
 
-def test_a_zoom_moves_pixels_away_from_the_middle_unless_the_frame_has_motion():
-    camera = lens(sp.LensKey(-0.25, focal_length_mm=80), sp.LensKey(0.25, focal_length_mm=90))
-    labels = frame_pixels(plane(3.0).layers[0], camera, defocus=True, motion=True)[0].labels
-    growth = 10.0 / 85.0
-    assert labels.path[0, 0] == pytest.approx([-growth * 35.5, -growth * 35.5], rel=1e-4)
-    assert np.abs(labels.path[35:37, 35:37]).max() < growth
-    moving = plane(3.0, motion=np.full((SIZE, SIZE, 2), 4.0))
-    labels = frame_pixels(moving.layers[0], camera, defocus=True, motion=True)[0].labels
-    assert np.all(labels.path == 2.0)
-
-
 def test_a_rolling_shutter_shears_what_moves():
     frame = plane(3.0, motion=np.broadcast_to(np.float32([8.0, 0.0]), (SIZE, SIZE, 2)))
     labels = frame_pixels(frame.layers[0], lens(readout_frames=0.5), defocus=True, motion=True)[0].labels

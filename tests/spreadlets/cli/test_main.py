@@ -183,6 +183,22 @@ def test_a_sequence_is_one_report_and_resumes(run, shot, small_combined_path):
     assert np.array_equal(exr.read_image(shot / "out.01.exr"), exr.read_image(shot / "out.03.exr"))
 
 
+def test_a_camera_that_goes_from_frame_to_frame_carries_a_sequence_along(run, shot, small_combined_path):
+    camera = json.loads((shot / "camera.json").read_text())
+    for number in (1, 2):
+        frame = exr.read_frame(shot / f"shot.000{number}.exr")
+        exr.write_frame(shot / f"still.000{number}.exr", Frame(frame.radiance, frame.depth))
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * number
+        (shot / f"camera.{number}.json").write_text(json.dumps(camera | {"camera_to_world": pose.tolist()}))
+    paths = (shot / "still.####.exr", "-o", shot / "out.#.exr", "--db", small_combined_path)
+    status, out, err = run("synth", *paths, "--camera", shot / "camera.#.json", "--json")
+    assert (status, err) == (0, "")
+    assert [each["plan"]["motion_from"] for each in json.loads(out)["frames"]] == ["camera", "camera"]
+    status, out, _ = run("synth", *paths, "--camera", shot / "camera.1.json", "--overwrite", "--json")
+    assert [each["plan"]["motion_from"] for each in json.loads(out)["frames"]] == ["none", "none"]
+
+
 def test_a_sequence_opens_its_database_once(run, shot, small_combined_path, monkeypatch):
     from spreadlets.jobs import databases
 

@@ -10,7 +10,14 @@ import OpenEXR
 import pytest
 
 from spreadlets.errors import AmbiguousInputWarning, InvalidCameraError, MissingPackageError, option, options_spelled
-from spreadlets.files.cameras import MAX_CAMERA_BYTES, attribute_values, frame_camera, parse_shutter, read_camera
+from spreadlets.files.cameras import (
+    MAX_CAMERA_BYTES,
+    attribute_values,
+    frame_camera,
+    moved_along,
+    parse_shutter,
+    read_camera,
+)
 from spreadlets.scene.camera import ThinLens
 
 VALUES = {"focal_length_mm": 85.0, "sensor_width_mm": 36.0, "f_number": 2.0, "focus_distance_m": 3.0}
@@ -231,9 +238,11 @@ def test_a_camera_of_a_usd_file(tmp_path):
     pytest.importorskip("pxr")
     path = tmp_path / "shot.usda"
     path.write_text(USD.format(unit=0.01, focus=300, more=""))
-    assert read_camera(path) == lens(sensor_height_mm=24.0)
+    assert read_camera(path) == lens(sensor_height_mm=24.0, camera_to_world=np.eye(4))
     path.write_text(USD.format(unit=0.01, focus=300, more='def Camera "B" {}'))
-    assert read_camera(f"{path}:/World/A", f_number=4.0) == lens(sensor_height_mm=24.0, f_number=4.0)
+    assert read_camera(f"{path}:/World/A", f_number=4.0) == lens(
+        sensor_height_mm=24.0, f_number=4.0, camera_to_world=np.eye(4)
+    )
     with pytest.raises(InvalidCameraError, match=r"holds 2 cameras \(/World/A, /World/B\); say which"):
         read_camera(path)
     with pytest.raises(InvalidCameraError, match="has no camera at /World/C; its cameras: /World/A, /World/B"):
@@ -250,7 +259,84 @@ def test_a_lens_that_is_written_in_millimetres_at_metres_is_taken_so(tmp_path):
     path = tmp_path / "shot.usda"
     path.write_text(USD.format(unit=1, focus=3, more=""))
     with pytest.warns(AmbiguousInputWarning, match="lens and sensor are taken for millimetres"):
-        assert read_camera(path) == lens(sensor_height_mm=24.0)
+        assert read_camera(path) == lens(sensor_height_mm=24.0, camera_to_world=np.eye(4))
+
+
+ANIMATED = """#usda 1.0
+(
+    metersPerUnit = 0.01
+    startTimeCode = 1
+    endTimeCode = 3
+)
+def Xform "Crane"
+{
+    double3 xformOp:scale = (2, 2, 2)
+    double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 2: (100, 0, 0), 3: (100, 300, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    def Camera "A"
+    {
+        float focalLength = 85
+        float horizontalAperture = 36
+        float fStop = 2
+        float focusDistance.timeSamples = { 1: 300, 2: 400, 3: 400 }
+        float3 xformOp:rotateXYZ = (0, 90, 0)
+        uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+        double shutter:open = -0.25
+        double shutter:close = 0.25
+    }
+}
+"""
+
+
+def test_a_camera_that_a_usd_file_moves_has_keys_around_the_frame(tmp_path):
+    pytest.importorskip("pxr")
+    path = tmp_path / "shot.usda"
+    path.write_text(ANIMATED)
+    camera = read_camera(path, time_code=2)
+    assert [key.time for key in camera.keys] == [-1.0, 0.0, 1.0]
+    places = [np.asarray(camera.pose_at(time))[:3, 3].tolist() for time in (-1.0, 0.0, 1.0)]
+    assert np.array(places) == pytest.approx(np.array([(0, 0, 0), (1, 0, 0), (1, 3, 0)]), abs=1e-6)
+    # It looks along -x, and is not scaled.
+    assert np.asarray(camera.pose_at(0.0))[:3, 2] == pytest.approx([1, 0, 0], abs=1e-6)
+    assert camera.at(-0.25).focus_distance_m == pytest.approx(3.75)
+    assert read_camera(path, time_code=2, focus_distance_m=9.0).at(-0.25).focus_distance_m == 9.0
+    # Where the file begins, there is no frame before.
+    assert [key.time for key in read_camera(path).keys] == [0.0, 1.0]
+
+
+# --- Poses ---------------------------------------------------------------------------------------------------------
+
+ASIDE = [[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+def test_a_json_camera_has_poses_at_keys(tmp_path):
+    keys = [{"time": 0, "camera_to_world": np.eye(4).tolist()}, {"time": 1, "camera_to_world": ASIDE}]
+    camera = read_camera(write_json(tmp_path / "truck.json", keys=keys))
+    assert camera.moves_picture and camera.pose_at(0.5)[0] == (1.0, 0.0, 0.0, 1.0)
+    keys[1]["camera_to_world"] = [[1.0]]
+    with pytest.raises(InvalidCameraError, match="camera_to_world at 1 frames.*4 rows of 4"):
+        read_camera(write_json(tmp_path / "bad.json", keys=keys))
+
+
+def test_the_pose_of_an_exr_is_the_inverse_of_world_to_camera_in_its_own_unit():
+    stored = np.linalg.inv(np.array(ASIDE)).T.astype(np.float32)
+    assert attribute_values({"worldToCamera": stored}, 0.01)["camera_to_world"][0] == pytest.approx((1, 0, 0, 0.02))
+    # A space that is mirrored against the world's is looked into along z.
+    mirrored = np.linalg.inv(np.array(ASIDE) @ np.diag([1.0, 1.0, -1.0, 1.0])).T
+    assert np.array(attribute_values({"worldToCamera": mirrored})["camera_to_world"]) == pytest.approx(np.array(ASIDE))
+    assert attribute_values({"worldToCamera": np.zeros((4, 4))}) == {}
+
+
+def test_a_camera_goes_through_those_of_the_frames_around(tmp_path):
+    for number, x in ((1, 0.0), (2, 2.0)):
+        place = np.array(ASIDE)
+        place[0, 3] = x
+        write_json(tmp_path / f"camera.{number}.json", camera_to_world=place.tolist())
+    write_json(tmp_path / "camera.3.json")
+    around = [(-1.0, str(tmp_path / "camera.1.json")), (1.0, str(tmp_path / "camera.3.json"))]
+    camera = moved_along(read_camera(tmp_path / "camera.2.json"), around)
+    assert [(key.time, key.camera_to_world[0][3]) for key in camera.keys] == [(0.0, 2.0), (-1.0, 0.0)]
+    assert moved_along(lens(), around) == lens()
 
 
 # --- Names of options ----------------------------------------------------------------------------------------------
