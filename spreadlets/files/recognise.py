@@ -42,6 +42,9 @@ ALPHA_SETS = (("A",), ("alpha",), ("AR", "AG", "AB"))
 AROUND = ("depth_prev", "depth_next")
 """Channels of the depths one frame before and one frame after, as `write_frame` names them."""
 
+THIRD_COMPONENTS = {"x": "z", "X": "Z", "r": "b", "R": "B", "u": "w", "U": "W"}
+"""What a vector's third component ends with, by the end of its first."""
+
 VIEW_LAYER = ".combined."
 """How the prefix of a view layer's colour ends in Blender's files."""
 
@@ -797,7 +800,7 @@ def _like(image: Image, pattern: re.Pattern[str], used: Iterable[str]) -> list[s
 
 
 def _unused(image: Image, colour: Colour, depth: Found, motion: Found | None, options: ReadOptions) -> list[str]:
-    """Return warnings of channels that look like alpha or motion though none was recognised."""
+    """Return warnings of channels that look like alpha or motion, or a part of it, and are not used."""
     used = {*colour.names, *depth.channels, *(motion.channels if motion else ())}
     found: list[str] = []
     if motion is None and options.motion_channels is None:
@@ -807,12 +810,29 @@ def _unused(image: Image, colour: Colour, depth: Found, motion: Found | None, op
                 f"no motion was recognised, but {', '.join(like)} may be motion; say {option('motion_channels')} and "
                 f"{option('motion_convention')} (or {option('motion_channels')} {_none()} to go without)"
             )
+    told = options.motion_channels is not None or options.motion_convention is not None
+    if motion is not None and not told and (third := _third_component(motion)) is not None:
+        found.append(
+            f"{third} beside the motion {', '.join(motion.channels)} is not used; if the three are a velocity in "
+            f"space, say {option('motion_convention')} camera-velocity, if not, {motion.convention} silences this"
+        )
     if not colour.alpha:
         coloured = _coloured_prefixes(image)
         like = [name for name in _like(image, ALPHA_LIKE, used) if _parent_of(image, name) not in coloured]
         if like:
             found.append(f"no alpha was recognised, but {', '.join(like)} may be alpha; say {option('alpha_channel')}")
     return found
+
+
+def _third_component(motion: Found) -> str | None:
+    """Return the third component of motion of which two are used, unless it is the same everywhere, as a filler is."""
+    first, *others = motion.channels
+    third = first[:-1] + THIRD_COMPONENTS.get(first[-1:], "")
+    if len(others) != 1 or third == first[:-1] or third not in motion.image.planes:
+        return None
+    values = motion.image.planes[third].pixels
+    values = values[np.isfinite(values)]
+    return third if values.size and values.min() < values.max() else None
 
 
 def _none() -> str:

@@ -72,6 +72,29 @@ def test_three_channels_of_blenders_vector_are_the_way_from_the_frame_before(pat
     assert tuple(frame.motion[0, 0]) == (3, 2)
 
 
+@pytest.mark.parametrize("names", ["motion.x motion.y motion.z", "velX velY velZ", "motion.u motion.v motion.w"])
+def test_a_third_component_of_motion_that_is_not_used_is_named(path, names):
+    first, second, third = names.split()
+    given = {**colours(), "Z": 2, first: 3, second: 2, third: np.arange(35.0).reshape(SHAPE)}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sp.read_frame(write(path, given))
+    said = [str(each.message) for each in caught]
+    assert sum(f"{third} beside the motion {first}, {second} is not used" in each for each in said) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sp.read_frame(path, motion_convention="forward-px")
+        # A filler says nothing; nor is there anything left out of a velocity in space.
+        if first == "motion.x":
+            sp.read_frame(write(path, given | {third: 1.0}))
+        sp.read_frame(
+            write(path, given),
+            motion_convention="camera-velocity",
+            motion_channels=(first, second, third),
+            camera=sp.ThinLens(50, 36, 2, 3),
+        )
+
+
 @pytest.mark.parametrize("names", ["mv.G mv.R", "vel.x vel.y", "MyVelocity.G MyVelocity.R", "opticalflow.u"])
 def test_what_looks_like_motion_is_named_when_the_frame_stays_still(path, names):
     write(path, colours() | {"Z": 2} | dict.fromkeys(names.split(), 1.0))
