@@ -803,6 +803,7 @@ def _unused(image: Image, colour: Colour, depth: Found, motion: Found | None, op
     """Return warnings of channels that look like alpha or motion, or a part of it, and are not used."""
     used = {*colour.names, *depth.channels, *(motion.channels if motion else ())}
     found: list[str] = []
+    # Motion, or a part of it.
     if motion is None and options.motion_channels is None:
         like = _like(image, MOTION_LIKE, used)
         if like:
@@ -816,6 +817,7 @@ def _unused(image: Image, colour: Colour, depth: Found, motion: Found | None, op
             f"{third} beside the motion {', '.join(motion.channels)} is not used; if the three are a velocity in "
             f"space, say {option('motion_convention')} camera-velocity, if not, {motion.convention} silences this"
         )
+    # Alpha.
     if not colour.alpha:
         coloured = _coloured_prefixes(image)
         like = [name for name in _like(image, ALPHA_LIKE, used) if _parent_of(image, name) not in coloured]
