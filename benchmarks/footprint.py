@@ -1,8 +1,8 @@
-"""What a run takes beside its time: start-up, peak memory, and what a database made for one frame saves.
+"""What a run takes beside its time: compiling, start-up, memory, files; and what a database for one frame saves.
 
     python benchmarks/footprint.py
 
-Each figure is of a fresh process of the command ``synth``, with the compiled code already in the cache. Frames are
+Each figure is of a fresh process, and but for the first with the compiled code already in the cache. Frames are
 synthetic: a picture of smoothly varying depth and motion, in four layers where it says so. Writes footprint.txt to
 benchmarks/results.
 """
@@ -77,7 +77,7 @@ def start_up(folder: Path, camera: Path) -> str:
 def made_for_a_frame(folder: Path) -> list[str]:
     """Return the rows that compare the shipped database with one made for the sample frame."""
     frame, camera, made = DATA / "coins_pinhole.exr", DATA / "coins.json", folder / "coins.h5"
-    sp.build_database("combined", made, frames=[sp.read_frame(frame)], camera=sp.read_camera(camera))
+    sp.build_database("combined", made, samples=1000, frames=[sp.read_frame(frame)], camera=sp.read_camera(camera))
     rows, images = [], []
     for name, database in (("combined", "combined"), ("--for coins", made)):
         best = min(
@@ -92,13 +92,76 @@ def made_for_a_frame(folder: Path) -> list[str]:
     return [*rows, f"{'':>14}  largest difference of the images {np.abs(images[0] - images[1]).max():.1e}"]
 
 
+FIRST_RUN = """
+import sys, time
+import numba.core.event
+from spreadlets.cli.main import main
+
+class Listener(numba.core.event.Listener):
+    depth, waited = 0, 0.0
+    def on_start(self, event):
+        self.begin = time.perf_counter() if not self.depth else self.begin
+        self.depth += 1
+    def on_end(self, event):
+        self.depth -= 1
+        self.waited += 0.0 if self.depth else time.perf_counter() - self.begin
+
+begin, listener = time.perf_counter(), Listener()
+numba.core.event.register("numba:compile", listener)
+sys.argv = ["spreadlets", "demo", "-o", sys.argv[1]]
+main()
+print(listener.waited, time.perf_counter() - begin)
+"""
+"""The demonstration, and how long it waited for kernels and took, s."""
+
+FILES_PASSED = """
+import sys
+import spreadlets as sp
+from spreadlets.compiled import first_calls
+
+frame, camera = sp.read_frame(sys.argv[1]), sp.read_camera(sys.argv[2])
+passed = set()
+sys.setprofile(lambda frame, event, argument: passed.add(frame.f_globals.get("__name__", "")))
+sp.synthesize(frame, camera)
+sys.setprofile(None)
+passed |= {module for module, *_ in first_calls()}
+print(len({name for name in passed if name.startswith("spreadlets.")}))
+"""
+"""How many of the package's files run while an image is made of a frame that has been read."""
+
+
+def python(program: str, *arguments: object, **environment: str) -> list[str]:
+    """Run a program in a fresh process; return the words of the last line that it prints."""
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | environment)
+    return done.stdout.splitlines()[-1].split()
+
+
+def first_run(folder: Path) -> str:
+    """Return the row of the first run of the demonstration, when nothing is compiled yet."""
+    waited, whole = map(float, python(FIRST_RUN, folder / "demo", NUMBA_CACHE_DIR=str(folder / "kernels")))
+    return f"first run of the demonstration: {waited:.1f} s of waiting for kernels, {whole:.1f} s as a whole"
+
+
+def passed_files() -> str:
+    """Return the row of the files of the package that a frame's pixels pass."""
+    (count,) = python(FILES_PASSED, DATA / "coins_pinhole.exr", DATA / "coins.json")
+    return f"files of the package that run between a frame and its image: {count}"
+
+
 def main() -> None:
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         camera = folder / "camera.json"
         camera.write_text(json.dumps(CAMERA))
-        lines = [start_up(folder, camera), *memory(folder, camera), *made_for_a_frame(folder)]
+        lines = [
+            first_run(folder),
+            start_up(folder, camera),
+            passed_files(),
+            *memory(folder, camera),
+            *made_for_a_frame(folder),
+        ]
     print("\n".join(lines))
     (RESULTS / "footprint.txt").write_text("\n".join(lines) + "\n")
 
