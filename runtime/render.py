@@ -34,7 +34,7 @@ from spreadlets.runtime.plan.plan import Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import CAMERA, NOTHING_MOVES, VECTORS, Report, Tally, plan_figures
 from spreadlets.runtime.splat.gather import gather
-from spreadlets.runtime.splat.passes import DIRECT, GROUPS, STRIDES, Canvas, Runs, canvas_of, find_runs, union
+from spreadlets.runtime.splat.passes import DIRECT, GROUPS, STRIDES, Canvas, Runs, canvas_of, find_runs, union, within
 from spreadlets.runtime.splat.splat import add_to_canvas, splat_direct, splat_laplacian, sum_rows
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
@@ -367,7 +367,7 @@ def _add_plan(
         if any(len(runs.of(GROUPS * k + group)) for levels in sources for runs in levels for group in range(GROUPS))
     ]
     for number in used:
-        canvas, padded = _splat_layer(sources, number, plan, solver, clock)
+        covered, canvas, padded = _splat_layer(sources, number, plan, image.shape, solver, clock)
         last = closed and number == used[-1]
         # Normalise the layer by its visibility, and put it behind the image.
         with clock.step("composite"):
@@ -376,23 +376,24 @@ def _add_plan(
             least = LEAST_SEEN if visibility is None else visibility.least
             seen = NOTHING if seen is None else seen
             add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
-        tally.add_canvas(canvas, image.shape)
+        tally.add_canvas(covered, image.shape)
     tally.add_plan(plan, len(used))
 
 
 def _splat_layer(
-    sources: list[list[Runs]], number: int, plan: Plan, solver: Solver, clock: Clock
-) -> tuple[Canvas, Image]:
-    """Return the sum of all splats of a layer, and the canvas that it lies on."""
+    sources: list[list[Runs]], number: int, plan: Plan, shape: tuple[int, ...], solver: Solver, clock: Clock
+) -> tuple[Canvas, Canvas, Image]:
+    """Return what a layer's splats cover, and the canvas and the image of their sum, as far as a frame shows it."""
     flat = [each for levels in sources for each in levels]
-    # Find what each group covers; all lies on one canvas.
+    # Find what each group covers; what is shown lies on one canvas.
     with clock.step("splat"):
         canvases = {
             group: canvas_of(flat, GROUPS * number + group, plan.table, margin, plan.corner)
             for group, margin in enumerate((*(SOLVER_MARGIN * stride for stride in STRIDES), 0))
         }
         covered = {group: canvas for group, canvas in canvases.items() if canvas is not None}
-        whole = union(list(covered.values()))
+        seen = [canvas if group == DIRECT else within(canvas, shape) for group, canvas in covered.items()]
+        shown = union(seen)
     # Draw sparse Laplacians, and integrate them; what is smooth is done by coarser pixels.
     drawn = [
         (canvas, STRIDES[group], _integrated(sources, number, group, plan, canvas, solver, clock))
@@ -400,17 +401,17 @@ def _splat_layer(
         if group != DIRECT
     ]
     with clock.step("composite"):
-        if len(drawn) == 1 and drawn[0][:2] == (whole, 1):
-            padded = drawn[0][2]
+        if len(drawn) == 1 and drawn[0][1] == 1 and union([shown, drawn[0][0]]) == drawn[0][0]:
+            shown, _, padded = drawn[0]
         else:
-            padded = np.zeros((whole.rows, whole.cols, 4), np.float32)
+            padded = np.zeros((shown.rows, shown.cols, 4), np.float32)
             for canvas, step, image in drawn:
-                add_to_canvas(padded, whole, image, canvas, step)
+                add_to_canvas(padded, shown, image, canvas, step)
     with clock.step("splat"):
         # Add small PSFs and exact highlights on top.
         for levels in sources:
-            splat_direct(padded, whole, levels[0], GROUPS * number + DIRECT, plan.table)
-    return whole, padded
+            splat_direct(padded, shown, levels[0], GROUPS * number + DIRECT, plan.table)
+    return union(list(covered.values())), shown, padded
 
 
 def _integrated(

@@ -16,8 +16,8 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 ORDER = (
     {"errors", "arrays", "version"},
     {"compiled", "parallel", "packages", "remembered", "runtime.controls", "runtime._vector_kernels"},
-    {"workers", "serve"},
-    {"scene", "runtime.options"},
+    {"workers", "serve", "runtime._box_kernels"},
+    {"scene", "runtime.options", "runtime.box_blur"},
     {"metrics", "models", "psf"},
     {"files", "precompute.trace", "runtime.clock", "runtime.memory", "runtime.label"},
     {"precompute.models", "runtime.splat", "runtime.integrate"},

@@ -9,9 +9,6 @@ from spreadlets.compiled import helper, kernel
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
 """Columns of `layer_moments`."""
 
-STRIPE = 64
-"""Columns that `box_columns` takes at a time: whole cache lines of each row."""
-
 
 @helper
 def _add_moments(total, weight, coc, path, motion):
@@ -173,52 +170,3 @@ def scatter_passing(members, number, sample, moments, padding, passing):
                         across = right_share if right else np.float32(1.0) - right_share
                         along = below_share if down else np.float32(1.0) - below_share
                         passing[i, j] += weight * across * along
-
-
-@kernel
-def box_rows(begin, end, image, half, repeat, out):
-    """Average each row over ``2 half + 1`` pixels; beyond the ends the last pixel repeats, or there is nothing.
-
-    Sums run in float64: what has been added cancels exactly for shares and counts.
-    """
-    height, width = image.shape
-    scale = 1.0 / (2 * half + 1)
-    for row in range(begin, end):
-        first = np.float64(image[row, 0]) if repeat else 0.0
-        last = np.float64(image[row, width - 1]) if repeat else 0.0
-        total = first * half
-        for col in range(half + 1):
-            total += image[row, col] if col < width else last
-        for col in range(width):
-            out[row, col] = total * scale
-            gone, come = col - half, col + half + 1
-            total += (image[row, come] if come < width else last) - (image[row, gone] if gone >= 0 else first)
-
-
-@kernel
-def box_columns(begin, end, image, half, repeat, out):
-    """Do as `_box_rows` for columns, in STRIPEs of neighbouring ones."""
-    height, width = image.shape
-    scale = 1.0 / (2 * half + 1)
-    for number in range(begin, end):
-        left, right = number * STRIPE, min((number + 1) * STRIPE, width)
-        # Sum the box about the first row.
-        total = np.zeros(STRIPE, np.float64)
-        for row in range(-half, half + 1):
-            if repeat or 0 <= row < height:
-                clamped = min(max(row, 0), height - 1)
-                for col in range(left, right):
-                    total[col - left] += image[clamped, col]
-        # Slide it down: emit the mean, add the row that comes, take off the one that goes.
-        for row in range(height):
-            gone, come = row - half, row + half + 1
-            for col in range(left, right):
-                out[row, col] = total[col - left] * scale
-            if repeat or come < height:
-                clamped = min(come, height - 1)
-                for col in range(left, right):
-                    total[col - left] += image[clamped, col]
-            if repeat or gone >= 0:
-                clamped = max(gone, 0)
-                for col in range(left, right):
-                    total[col - left] -= image[clamped, col]

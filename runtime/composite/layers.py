@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.sweep import enlarged, reduced_blur, reduction
 from spreadlets.runtime.label.lists import Pixels
@@ -132,23 +133,5 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     for members, *sample in passes:
         labels = tuple(map(np.ascontiguousarray, sample))
         _visibility_kernels.scatter_passing(tuple(members), number, labels, layer, padding, passing)
-    _blur(passing, moments, repeat=False)
-    return np.ascontiguousarray(passing[padding : padding + height, padding : padding + width])
-
-
-def _blur(image: Image, moments: Moments, *, repeat: bool) -> None:
-    half = moments.box_half_width()
-    if half:
-        box_blur(image, half, repeat=repeat)
-    np.clip(image, 0.0, None, out=image)
-
-
-def box_blur(image: Image, half: int, *, repeat: bool) -> None:
-    """Blur an image (H, W) in place by a box of ``2 half + 1`` px, twice.
-
-    Beyond the border its pixels repeat, or there is nothing.
-    """
-    (height, width), spare = image.shape, np.empty_like(image)
-    for _ in range(2):
-        for_bands(_visibility_kernels.box_rows, height, image, half, repeat, spare)
-        for_bands(_visibility_kernels.box_columns, -(-width // _visibility_kernels.STRIPE), spare, half, repeat, image)
+    blurred = box_blurred(passing, moments.box_half_width(), times=2)
+    return np.maximum(blurred[padding : padding + height, padding : padding + width], np.float32(0.0))

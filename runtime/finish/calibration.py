@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _calibration_kernels
 from spreadlets.scene.camera import ThinLens
@@ -50,14 +50,18 @@ def takes_whole_lens(samples: SampleBuffer, camera: ThinLens) -> bool:
     valid = samples.valid
     if not valid.any():
         return False
-    places = samples.lens_uv[valid].astype(np.float64)
-    spread = float((places**2).sum(axis=1).mean())
-    fits = LENS_SPREAD[0] <= spread <= LENS_SPREAD[1] and bool((np.abs(places.mean(axis=0)) <= LENS_OFFSET).all())
+    u, v = np.moveaxis(samples.lens_uv[valid], 1, 0)
+    spread, middle = _mean(u * u) + _mean(v * v), (_mean(u), _mean(v))
+    fits = LENS_SPREAD[0] <= spread <= LENS_SPREAD[1] and max(map(abs, middle)) <= LENS_OFFSET
     if not fits or not camera.shutter_duration or not samples.motion.any():
         return fits
-    time = (samples.time[valid].astype(np.float64) - camera.shutter_centre) / camera.shutter_duration
-    variance = 12.0 * float(time.var())
-    return abs(float(time.mean())) <= TIME_OFFSET and TIME_SPREAD[0] <= variance <= TIME_SPREAD[1]
+    time = (samples.time[valid] - np.float32(camera.shutter_centre)) / np.float32(camera.shutter_duration)
+    variance = 12.0 * (_mean(time * time) - _mean(time) ** 2)
+    return abs(_mean(time)) <= TIME_OFFSET and TIME_SPREAD[0] <= variance <= TIME_SPREAD[1]
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean(dtype=np.float64))
 
 
 def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.bool_]) -> None:

@@ -12,14 +12,15 @@ import numpy as np
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import _evening_kernels
 from spreadlets.runtime.plan.layering import Layering
 
-SURROUNDINGS_PX = 9
-"""Weights are 1 in the mean over so many pixels: how much of a surface was seen is left as it is."""
-USUAL_PX = 7
-"""Side of the box that, applied twice, tells how many samples are usual around."""
+SURROUNDINGS_PX = 4
+"""Weights are 1 in the mean over the pixels this far to all sides: how much of a surface was seen is left as it is."""
+USUAL_PX = 3
+"""How far to all sides the box reaches that, applied twice, tells how many samples are usual around."""
 MARGIN_PX = 64
 """How far beyond the frame samples are counted; what lies farther keeps the weight 1."""
 
@@ -61,20 +62,16 @@ def _weigh_layer(layer: Sequence[Image], number: int, shifts: Sequence[Image], w
         _evening_kernels.count_samples(there, number, shift, *given, count)
     # A share against what is usual around does not shift weight to where fewer and fewer are seen, or to a rim.
     per_pixel = _in_pixels(count, bins)
-    usual, area = _mean_around(_mean_around(per_pixel, USUAL_PX), USUAL_PX), np.empty_like(count)
+    usual, area = box_blurred(per_pixel, USUAL_PX, times=2), np.empty_like(count)
     for_bands(_evening_kernels.share_area, len(count), count, usual, bins, area)
-    sums = np.stack([_mean_around(each, SURROUNDINGS_PX) for each in (per_pixel, _in_pixels(count * area, bins))])
+    sums = np.stack([box_blurred(each, SURROUNDINGS_PX) for each in (per_pixel, _in_pixels(count * area, bins))])
     for there, shift, weight in zip(layer, shifts, weights, strict=True):
         for_bands(_evening_kernels.weigh_samples, len(there), there, number, shift, *given, area, sums, weight)
 
 
 def _in_pixels(values: Image, bins: int) -> Image:
     """Return the sums over the bins of each pixel."""
-    rows, cols = (size // bins for size in values.shape)
-    return np.asarray(values.reshape(rows, bins, cols, bins).sum(axis=(1, 3)), np.float32)
-
-
-def _mean_around(values: Image, size: int) -> Image:
-    from scipy.ndimage import uniform_filter
-
-    return np.asarray(uniform_filter(values, size, mode="constant"), np.float32)
+    total = np.zeros([size // bins for size in values.shape], np.float32)
+    for row, col in np.ndindex(bins, bins):
+        total += values[row::bins, col::bins]
+    return total

@@ -64,19 +64,21 @@ def _cubic(place):
 
 @kernel
 def add_enlarged(begin, end, coarse, top, left, step, image):
-    """Add an image of coarse pixels, interpolated cubically, to one of pixels; nothing lies beyond its sides.
+    """Add an image of coarse pixels, interpolated cubically, to one of pixels that holds a part of it.
+
+    Nothing lies beyond the sides of the coarse pixels.
 
     Parameters
     ----------
     coarse : ndarray of shape (h, w * 4), float32
     top, left : int
-        Row and column, in the image, of its first pixel's first pixel.
+        Row and column, in the image, of its first pixel's first pixel; either may be negative.
     step : int
         Side of its pixels.
     image : ndarray of shape (H, W * 4), float32
         Changed in place.
     """
-    height, n = coarse.shape[0], coarse.shape[1] // 4
+    height, n, width = coarse.shape[0], coarse.shape[1] // 4, image.shape[1] // 4
     # Three pixels of nothing lie on both sides of a row.
     line = np.zeros(4 * (n + 6), np.float32)
     for row in range(max(begin, top), min(end, top + step * height)):
@@ -92,7 +94,7 @@ def add_enlarged(begin, end, coarse, top, left, step, image):
         target = image[row]
         for phase in range(step):
             before, (a, b, c, d) = _cubic((phase + 0.5) / step - 0.5)
-            for i in range(n):
+            for i in range(max(-((left + phase) // step), 0), min((width - left - phase + step - 1) // step, n)):
                 at, to = _U(4 * (i + before + 3)), _U(4 * (left + step * i + phase))
                 p, q = multiply((a, a, a, a), load(line, at)), multiply((b, b, b, b), load(line, at + _U(4)))
                 r, s = multiply((c, c, c, c), load(line, at + _U(8))), multiply((d, d, d, d), load(line, at + _U(12)))
@@ -101,9 +103,12 @@ def add_enlarged(begin, end, coarse, top, left, step, image):
 
 @kernel
 def add_placed(begin, end, placed, top, left, image):
-    """Add an image (h, w * 4), float32, to another (H, W * 4) at a row and a column of it, in place."""
-    first = _U(4 * left)
+    """Add an image (h, w * 4), float32, to another (H, W * 4) at a row and a column of it, in place.
+
+    Of an image that reaches beyond the other, that part is left out.
+    """
+    first, last = max(4 * left, 0), min(4 * left + placed.shape[1], image.shape[1])
     for row in range(max(begin, top), min(end, top + placed.shape[0])):
-        source, target = placed[row - top], image[row]
-        for j in range(_U(placed.shape[1])):
-            target[first + j] += source[j]
+        source, target = placed[row - top, first - 4 * left :], image[row, first:last]
+        for j in range(target.shape[0]):
+            target[j] += source[j]

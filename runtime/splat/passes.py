@@ -227,3 +227,12 @@ def union(canvases: Sequence[Canvas]) -> Canvas:
     top, left = min(each.top for each in canvases), min(each.left for each in canvases)
     bottom, right = max(each.top + each.rows for each in canvases), max(each.left + each.cols for each in canvases)
     return Canvas(top, left, bottom - top, right - left)
+
+
+def within(canvas: Canvas, shape: tuple[int, ...]) -> Canvas:
+    """Return the part of a canvas that lies within a frame of a shape; without rows or columns, if none does."""
+    (top, rows), (left, cols) = (
+        (max(begin, 0), max(min(begin + size, side) - max(begin, 0), 0))
+        for begin, size, side in zip((canvas.top, canvas.left), (canvas.rows, canvas.cols), shape, strict=False)
+    )
+    return Canvas(top, left, rows, cols)

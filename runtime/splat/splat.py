@@ -58,7 +58,7 @@ def splat_laplacian(
 
 
 def add_to_canvas(image: Image, canvas: Canvas, placed: Image, own: Canvas, step: int) -> None:
-    """Add an image of pixels of side ``step`` that lies on a canvas of its own, within that of the other, in place."""
+    """Add an image of pixels of side ``step`` on a canvas of its own, as far as it lies within the other, in place."""
     rows, top, left = placed.reshape(len(placed), -1), own.top - canvas.top, own.left - canvas.left
     if step == 1:
         for_bands(_resample_kernels.add_placed, len(image), rows, top, left, image.reshape(len(image), -1))

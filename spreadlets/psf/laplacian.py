@@ -30,6 +30,8 @@ _PANEL_PHASE = 30.0
 _PANEL_NODES = 32
 _WIDEST_PANEL = 0.5
 
+MOST_ON_ONE_THREAD = 1 << 18
+"""Multiplications of a matrix product up to which BLAS keeps to the thread that asks (OpenBLAS)."""
 LARGEST_BY_MATRIX = 128
 """Side, px, up to which a sine transform is a product with its matrix. That is faster up to some 64 px; and it needs no
 SciPy, whose import takes as long as a hundred transforms of the largest."""
@@ -230,8 +232,16 @@ def _solve_by_matrix(source: RealArray) -> RealArray:
     along_rows, along_cols = (_sine_eigenvalues(n) for n in source.shape[:2])
     # Channels come first, as a stack of matrices. The sine matrix is its own inverse.
     planes = np.ascontiguousarray(np.moveaxis(source.reshape(*source.shape[:2], -1), 2, 0), np.float64)
-    planes = rows @ (rows @ planes @ cols / (along_rows[:, None] + along_cols)) @ cols
+    spectrum = _product(_product(rows, planes), cols) / (along_rows[:, None] + along_cols)
+    planes = _product(_product(rows, spectrum), cols)
     return np.moveaxis(planes, 0, 2).reshape(source.shape).astype(source.dtype)
+
+
+def _product(left: Table, right: Table) -> Table:
+    """Return the product of small matrices, made on this thread: on a busy machine, others would be waited for."""
+    step = max(MOST_ON_ONE_THREAD // (right.shape[-2] * right.shape[-1]), 1)
+    parts = [left[..., row : row + step, :] @ right for row in range(0, left.shape[-2], step)]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-2)
 
 
 @cache

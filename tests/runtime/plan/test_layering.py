@@ -16,7 +16,7 @@ from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
-from spreadlets.runtime.composite.layers import Cover, Moments, box_blur, layer_moments, passing_samples, share_beyond
+from spreadlets.runtime.composite.layers import Cover, Moments, layer_moments, passing_samples, share_beyond
 from spreadlets.runtime.label.labels import Labels, Places, View
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import layering
@@ -135,19 +135,6 @@ def test_a_stray_depth_does_not_widen_the_range_but_a_small_object_does():
 
 
 # --- the blur that shares and counts get
-
-
-@pytest.mark.interpreted
-@pytest.mark.parametrize("half", [1, 4, 9])
-@pytest.mark.parametrize(("repeat", "mode"), [(True, "nearest"), (False, "constant")])
-@pytest.mark.parametrize("shape", [(13, 21), (9, 130), (7, 5)])
-def test_the_box_blur_is_two_uniform_filters(half, repeat, mode, shape):
-    image = np.random.default_rng(0).random(shape).astype(np.float32)
-    expected = image.astype(np.float64)
-    for _ in range(2):
-        expected = ndimage.uniform_filter(expected, 2 * half + 1, mode=mode)
-    box_blur(image, half, repeat=repeat)
-    assert np.allclose(image, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("radius", "length"), [(8.0, 0.0), (20.0, 0.0), (0.0, 40.0), (9.0, 30.0)])

@@ -1,0 +1,51 @@
+"""Compiled kernels of the box blur."""
+
+import numpy as np
+
+from spreadlets.compiled import kernel
+
+STRIPE = 64
+"""Columns that `box_columns` takes at a time: whole cache lines of each row."""
+
+
+@kernel
+def box_rows(begin, end, image, half, out):
+    """Average each row over ``2 half + 1`` pixels; beyond its ends there is nothing.
+
+    Sums run in float64: what has been added cancels exactly for shares and counts.
+    """
+    width = image.shape[1]
+    scale = 1.0 / (2 * half + 1)
+    for row in range(begin, end):
+        total = 0.0
+        for col in range(min(half, width)):
+            total += image[row, col]
+        for col in range(width):
+            if col + half < width:
+                total += image[row, col + half]
+            out[row, col] = total * scale
+            if col >= half:
+                total -= image[row, col - half]
+
+
+@kernel
+def box_columns(begin, end, image, half, out):
+    """Do as `box_rows` for columns, in STRIPEs of neighbouring ones."""
+    height, width = image.shape
+    scale = 1.0 / (2 * half + 1)
+    total = np.empty(STRIPE)
+    for number in range(begin, end):
+        left, right = number * STRIPE, min((number + 1) * STRIPE, width)
+        total[:] = 0.0
+        for row in range(min(half, height)):
+            for col in range(left, right):
+                total[col - left] += image[row, col]
+        for row in range(height):
+            if row + half < height:
+                for col in range(left, right):
+                    total[col - left] += image[row + half, col]
+            for col in range(left, right):
+                out[row, col] = total[col - left] * scale
+            if row >= half:
+                for col in range(left, right):
+                    total[col - left] -= image[row - half, col]
