@@ -17,6 +17,7 @@ def box_rows(begin, end, image, half, out):
     width = image.shape[1]
     scale = 1.0 / (2 * half + 1)
     for row in range(begin, end):
+        # Sum the box about the pixel before the first, then slide it along.
         total = 0.0
         for col in range(min(half, width)):
             total += image[row, col]
@@ -36,6 +37,7 @@ def box_columns(begin, end, image, half, out):
     total = np.empty(STRIPE)
     for number in range(begin, end):
         left, right = number * STRIPE, min((number + 1) * STRIPE, width)
+        # Sum the boxes about the row above the first, then slide them down.
         total[:] = 0.0
         for row in range(min(half, height)):
             for col in range(left, right):
