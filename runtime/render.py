@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from spreadlets.arrays import NOTHING, BoolArray, Image
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.clock import Clock
@@ -130,7 +131,7 @@ def synthesize_all(
     options, clock = options or Options(), clock or Clock()
     raster, frames = frames[0].raster, [squared(frame) for frame in frames]
     frame, tally = frames[0], Tally()
-    _warn_about_view(database, camera, frame.raster.display.width)
+    _check_fit(database, camera, frame.raster.display.width)
     # Clamp fireflies, and divide mixed pixels as those of the first frame.
     with clock.step("plan"):
         clamped = [_clamped_frame(each.layers, options.firefly_clamp) for each in frames]
@@ -273,7 +274,7 @@ def reconstruct(
     options, clock, tally = options or Options(), clock or Clock(), Tally()
     if options.motion and samples.motion.any():
         tally.motion_from = VECTORS
-    _warn_about_view(database, camera, samples.raster.display.width)
+    _check_fit(database, camera, samples.raster.display.width)
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
@@ -322,7 +323,8 @@ def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, 
     """Tell whether the image should be the mean of many samples: same effects, round lens, all of lens and shutter."""
     model = database.grid.model
     moves = bool(samples.motion.any())
-    if model.settings or not options.defocus or (moves and not options.motion):
+    as_samples = options.defocus and (options.motion or not moves) and camera.shutter_curve is None
+    if model.settings or not as_samples:
         return False
     axes = {axis.name for axis in model.axes}
     shown = axes == {"coc", "motion"} or (axes == {"coc"} and not moves)
@@ -457,8 +459,13 @@ def _filtered(
     return image
 
 
-def _warn_about_view(database: Database, camera: ThinLens, width: int) -> None:
-    """Say in what the camera differs from the one that the database was built for."""
+def _check_fit(database: Database, camera: ThinLens, width: int) -> None:
+    """Refuse two shutter curves, and say in what the camera differs from the one that the database was built for."""
+    if camera.shutter_curve is not None and database.grid.model.settings.get("shutter_curve") is not None:
+        raise InvalidParameterError(
+            f"the database {database.path.name!r} has a shutter curve, and so has the camera "
+            f"({option('shutter_curve')}): one of them is enough"
+        )
     differences = view_differences(database.grid.model, camera, width)
     if differences:
         warnings.warn(

@@ -26,6 +26,7 @@ from spreadlets.precompute.trace.line_sample import (
     unchanged,
 )
 from spreadlets.psf.model import PsfModel
+from spreadlets.scene.shutter import read_curve
 
 GENERATORS = (0.5 * (math.sqrt(5.0) - 1.0), math.sqrt(2.0) - 1.0, math.sqrt(3.0) - 1.0, math.sqrt(7.0) - 2.0)
 """Steps of radius, path length, direction and time from line to line: each evenly spread over neighbouring lines."""
@@ -152,8 +153,7 @@ def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[st
     Parameters
     ----------
     shutter_curve : sequence of floats or str, optional
-        How far the shutter is open, at equally spaced times from opening to closing, linear between them; or
-        ``"trapezoid:RISE,FALL"`` with the shares of the time in which it opens and closes.
+        How far the shutter is open, see `spreadlets.scene.shutter.read_curve`.
     shape : mapping
         Arguments of `Aperture`.
 
@@ -163,43 +163,13 @@ def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[st
         If a value is out of its range, or nothing lets light through.
     """
     aperture = Aperture(**shape)
-    curve = None if shutter_curve is None else _read_curve(shutter_curve)
+    curve = None if shutter_curve is None else read_curve(shutter_curve)
     if aperture == Aperture() and curve is None:
         return {}
     sign = "stored" if aperture.spherical_aberration else "ignored" if aperture.is_point_symmetric else "turned"
     arrow = curve is not None and curve != curve[::-1]
     symmetry = {"arrow": arrow, "lattice": aperture.is_round, "sign": sign}
     return {"aperture": asdict(aperture), "shutter_curve": curve, "symmetry": symmetry}
-
-
-def _read_curve(given: Sequence[float] | str) -> list[float]:
-    """Return a shutter's curve as its openness at equally spaced times."""
-    if isinstance(given, str):
-        kind, _, rest = given.rpartition(":")
-        try:
-            numbers = [float(word) for word in rest.split(",")]
-        except ValueError:
-            raise InvalidParameterError(f"shutter_curve is {given!r}: needed are numbers separated by commas") from None
-        if kind == "trapezoid" and len(numbers) == 2:
-            return _trapezoid(*numbers)
-        if kind:
-            raise InvalidParameterError(f"shutter_curve is {given!r}: allowed are trapezoid:RISE,FALL and samples")
-        given = numbers
-    curve = [float(value) for value in given]
-    good = len(curve) >= 2 and all(math.isfinite(value) and value >= 0.0 for value in curve)
-    if not good or max(curve) == 0.0:
-        raise InvalidParameterError(f"shutter_curve is {curve}: two or more numbers from 0 up are needed, not all 0")
-    return curve
-
-
-def _trapezoid(rise: float, fall: float) -> list[float]:
-    """Return the samples of a shutter that opens and closes evenly."""
-    if not (rise >= 0.0 and fall >= 0.0 and rise + fall <= 1.0):
-        raise InvalidParameterError(f"a trapezoid of rise {rise} and fall {fall}: shares from 0 up, together at most 1")
-    time = np.linspace(0.0, 1.0, N_TIMES // 64 + 1)
-    opening = np.minimum(time / rise, 1.0) if rise else np.ones_like(time)
-    closing = np.minimum((1.0 - time) / fall, 1.0) if fall else np.ones_like(time)
-    return [float(value) for value in np.minimum(opening, closing)]
 
 
 def shutter_times(u: DoubleArray, curve: Sequence[float] | None) -> DoubleArray:

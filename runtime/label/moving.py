@@ -1,8 +1,9 @@
 """What changes while the shutter is open: pixels drawn at several times, each with its place, its blur and its share.
 
 A cell of a model with motion covers a straight path at constant blur: such a pixel is drawn once. What bends is drawn
-along chords; what changes its blur, since it moves in depth or the lens is pulled, is drawn in steps of time. PSFs that
-do not move are drawn at places along the path, close enough to make one streak.
+along chords; what changes its blur, since it moves in depth or the lens is pulled, is drawn in steps of time, and so is
+what moves under a shutter that is not open evenly. PSFs that do not move are drawn at places along the path, close
+enough to make one streak.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels, listed
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
+from spreadlets.scene.shutter import shutter_shares
 
 CHORD_TOLERANCE = 0.2
 CHORD_SHARE = 0.15
@@ -34,7 +36,9 @@ COC_STEP_SHARE = 0.06
 """Change of a CoC radius within a step: so many px, or so much of itself. Steps between are what cells are wide."""
 PLACE_STEP_SHARE = 0.1
 """Distance, in CoC radii and at least a pixel, of the places at which a PSF that does not move is drawn on its way."""
-
+CURVE_STEP_PX = 2.0
+CURVE_STEP_SHARE = 0.25
+"""Length of a step, px or in CoC radii, within which a shutter that opens and closes slowly is taken to be even."""
 
 AS_IT_IS = Controls()
 """The lens without any change."""
@@ -81,8 +85,10 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
         chosen = np.flatnonzero((steps == count) & (weight > 0))
         if len(chosen):
             part, some = listed(layer, pixels._replace(weight=weight), chosen)
-            for labels in _labels_in_time(part, some.labels, camera, effects, count):
-                yield some._replace(labels=labels, weight=some.weight / np.float32(count))
+            shares = shutter_shares(camera.shutter_curve, count).astype(np.float32)
+            for share, labels in zip(shares, _labels_in_time(part, some.labels, camera, effects, count), strict=True):
+                if share:
+                    yield some._replace(labels=labels, weight=some.weight * share)
 
 
 def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> npt.NDArray[np.int32] | None:
@@ -93,7 +99,8 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
     moves = effects.motion and layer.has_motion
     bends = moves and layer.motion_prev is not None and layer.motion_next is not None
     refocuses = effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
-    if not (bends or refocuses or (moves and not effects.swept)):
+    unevenly = moves and camera.shutter_curve is not None
+    if not (bends or refocuses or unevenly or (moves and not effects.swept)):
         return None
     count, radius = np.ones(pixels.labels.coc.shape, np.int32), np.abs(pixels.labels.coc)
     # Follow bends by chords, changes of blur by steps, and the ways of what is not swept by places.
@@ -103,10 +110,11 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
         for_bands(_label_kernels.count_segments, len(count), *given, *limits, count)
     if refocuses:
         count = np.maximum(count, _power_of_two(_coc_range(layer, camera, effects.controls) / _coc_step(radius)))
-    if moves and not effects.swept:
+    if unevenly or (moves and not effects.swept):
         opens, closes = (_places(layer, time) for time in camera.shutter)
         way = np.hypot(*np.moveaxis(closes - opens, 2, 0))
-        count = np.maximum(count, _power_of_two(way / np.maximum(PLACE_STEP_SHARE * radius, 1.0)))
+        share, least = (CURVE_STEP_SHARE, CURVE_STEP_PX) if effects.swept else (PLACE_STEP_SHARE, 1.0)
+        count = np.maximum(count, _power_of_two(way / np.maximum(np.float32(share) * radius, np.float32(least))))
     return count
 
 

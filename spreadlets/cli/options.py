@@ -102,6 +102,8 @@ READ_NAMES = tuple(
     "motion_channels motion_convention max_displacement unpremultiplied depth_file motion_file alpha_file max_layers "
     "repair".split()
 )
+CAMERA_CURVE = "camera_shutter_curve"
+"""Parameter of commands that have an option for a camera's shutter curve; a model to build has one of its own."""
 CAMERA_NAMES = ("focal_length_mm", "sensor_width_mm", "sensor_fit", "f_number", "focus_distance_m", "shutter")
 
 
@@ -133,6 +135,7 @@ def _listed(names: str) -> tuple[str, ...]:
 def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     """Take the single values of a camera out of a command's options; what is not given is not."""
     taken = {name: options.pop(name) for name in CAMERA_NAMES if name in options}
+    taken["shutter_curve"] = options.pop(CAMERA_CURVE, None)
     return {name: value for name, value in taken.items() if value is not None}
 
 
@@ -159,8 +162,7 @@ def splatting_options(*, layers: str, fireflies: str) -> Callable[[Command], Com
     )
 
 
-camera_options = cloup.option_group(
-    "Camera",
+CAMERA = (
     cloup.option(
         "--camera", metavar="FILE", help="JSON, OpenEXR with camera attributes, or USD[:/PRIM] (default: the frame's)."
     ),
@@ -175,7 +177,21 @@ camera_options = cloup.option_group(
     cloup.option("--focus", "focus_distance_m", type=float, metavar="M", help="Distance in focus, metres."),
     cloup.option("--shutter", metavar="ANGLE|OPEN,CLOSE", help="180deg, or times in frames (default: 180deg)."),
 )
+
+camera_options = cloup.option_group("Camera", *CAMERA)
 """Which lens and shutter; single values override those of the file."""
+
+drawn_camera_options = cloup.option_group(
+    "Camera",
+    *CAMERA,
+    cloup.option(
+        "--shutter-curve",
+        CAMERA_CURVE,
+        metavar="CURVE",
+        help="How far the shutter is open over its time: 0,1,1,0.5 or trapezoid:RISE,FALL (default: fully).",
+    ),
+)
+"""The same for commands that draw: how far the shutter is open over its time."""
 
 
 def effect_options(verb: str) -> Callable[[Command], Command]:

@@ -14,7 +14,7 @@ import cloup
 from spreadlets.cli.controls import bokeh_options, control_options, take_bokeh
 from spreadlets.cli.options import (
     TableChoice,
-    camera_options,
+    drawn_camera_options,
     effect_options,
     input_options,
     json_option,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     ),
     cloup.option("--output-coc", type=click.Path(dir_okay=False), help="Write the signed CoC radii, px (.exr)."),
 )
-@camera_options
+@drawn_camera_options
 @control_options
 @bokeh_options
 @cloup.option_group(
@@ -170,7 +170,7 @@ def _outcome(entry: Mapping[str, Any]) -> str:
 @cloup.command()
 @cloup.argument("samples", type=click.Path(dir_okay=False), metavar="SAMPLES.exr")
 @output_options("The image to write: .exr, or for viewing .png, .jpg or .tif.")
-@camera_options
+@drawn_camera_options
 @cloup.option_group(
     "Method",
     cloup.option(

@@ -33,7 +33,15 @@ MAX_CAMERA_BYTES = 1 << 20
 
 NUMBER_KEYS = ("focal_length_mm", "sensor_width_mm", "f_number", "focus_distance_m")
 SHUTTER_KEY = "shutter_open_close_frames"
-OPTIONAL_KEYS = ("lens_model", "sensor_fit", "sensor_height_mm", "keys", "readout_frames", "camera_to_world")
+OPTIONAL_KEYS = (
+    "lens_model",
+    "sensor_fit",
+    "sensor_height_mm",
+    "keys",
+    "readout_frames",
+    "camera_to_world",
+    "shutter_curve",
+)
 
 DESCRIPTIVE_KEYS = frozenset(
     (
@@ -74,6 +82,7 @@ class CameraValues(TypedDict, total=False):
     f_number: float | None
     focus_distance_m: float | None
     shutter: tuple[float, float] | str | None
+    shutter_curve: Sequence[float] | str | None
     lens_model: LensModel | None
 
 
@@ -87,10 +96,11 @@ def read_camera(
     path : path, optional
         A JSON object with the numbers ``focal_length_mm``, ``sensor_width_mm``, ``f_number``, ``focus_distance_m``
         (``Infinity`` or ``"inf"`` is allowed) and the pair ``shutter_open_close_frames``; optionally ``lens_model``,
-        ``sensor_fit``, ``sensor_height_mm``, ``readout_frames``, ``camera_to_world`` (4 rows) and ``keys``, see
-        `ThinLens`. Or an OpenEXR file with camera attributes: OpenEXR's standard ones, or those of V-Ray, Redshift,
-        Arnold, Unreal, or a note of Blender's that holds such JSON. Or a USD file, optionally followed by a colon and
-        the camera's path, ``shot.usda:/World/Camera``; needs the extra ``usd``. What is animated in it is keyed.
+        ``sensor_fit``, ``sensor_height_mm``, ``readout_frames``, ``shutter_curve``, ``camera_to_world`` (4 rows) and
+        ``keys``, see `ThinLens`. Or an OpenEXR file with camera attributes: OpenEXR's standard ones, or those of V-Ray,
+        Redshift, Arnold, Unreal, or a note of Blender's that holds such JSON. Or a USD file, optionally followed by a
+        colon and the camera's path, ``shot.usda:/World/Camera``; needs the extra ``usd``. What is animated in it is
+        keyed.
     time_code : float, optional
         Of a USD file, the frame's; by default where the file begins.
     **values
@@ -357,6 +367,8 @@ def _json_values(content: Mapping[str, object]) -> dict[str, Any]:
         values["keys"] = _json_keys(content["keys"])
     if "readout_frames" in content:
         values["readout_frames"] = checked_number("readout_frames", content["readout_frames"])
+    if "shutter_curve" in content:
+        values["shutter_curve"] = content["shutter_curve"]
     # Where the camera is.
     if "camera_to_world" in content:
         values["camera_to_world"] = checked_pose("camera_to_world", content["camera_to_world"])  # type: ignore[arg-type]

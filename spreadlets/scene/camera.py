@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.errors import InvalidCameraError, InvalidParameterError
 from spreadlets.scene.pose import Pose, checked_pose, pose_between
+from spreadlets.scene.shutter import read_curve
 
 LensModel = Literal["renderer", "textbook"]
 SensorFit = Literal["horizontal", "vertical", "auto"]
@@ -90,6 +92,10 @@ class ThinLens:
     camera_to_world : tuple of 4 rows, optional
         Where the camera is and how it looks: the matrix that takes its space to the world's, both in metres. The camera
         looks along -z, x points to the right and y up. What counts is how the poses of `keys` differ.
+    shutter_curve : sequence of floats or str, optional
+        How far the shutter is open at equally spaced times from opening to closing, linear between them; or
+        ``"trapezoid:RISE,FALL"`` with the shares of the time in which it opens and closes. By default it is fully open
+        all the time.
 
     Raises
     ------
@@ -116,6 +122,7 @@ class ThinLens:
     keys: tuple[LensKey, ...] = ()
     readout_frames: float = 0.0
     camera_to_world: Pose | None = None
+    shutter_curve: Sequence[float] | str | None = None
 
     def __post_init__(self) -> None:
         height = () if self.sensor_height_mm is None else ("sensor_height_mm",)
@@ -133,6 +140,8 @@ class ThinLens:
             raise InvalidCameraError(f"readout_frames is {self.readout_frames}; it must be finite")
         _check_pose(self, "camera_to_world")
         self._check_keys()
+        if self.shutter_curve is not None:
+            object.__setattr__(self, "shutter_curve", _checked_curve(self.shutter_curve))
 
     def _check_keys(self) -> None:
         """Raise InvalidCameraError unless all keys are keys, and the lens is possible at each."""
@@ -295,6 +304,15 @@ class ThinLens:
         dtype = np.float32 if z.dtype in (np.float16, np.float32) else np.float64
         radius = self.coc_scale(image_width) * (1.0 / self.focus_distance_m - 1.0 / z.astype(np.float64))
         return np.asarray(radius, dtype=dtype)
+
+
+def _checked_curve(given: Sequence[float] | str) -> tuple[float, ...] | None:
+    """Return a shutter's curve as a tuple; None if it is the same all the time."""
+    try:
+        curve = read_curve(given)
+    except InvalidParameterError as error:
+        raise InvalidCameraError(str(error)) from None
+    return tuple(curve) if min(curve) < max(curve) else None
 
 
 def _check_pose(holder: LensKey | ThinLens, name: str) -> None:

@@ -78,4 +78,7 @@ def _text(camera: ThinLens) -> str:
     }
     if given["sensor_height_mm"] is not None:
         values["sensor_height_mm"] = given["sensor_height_mm"]
+    for name in ("camera_to_world", "shutter_curve"):
+        if given[name] is not None:
+            values[name] = given[name]
     return json.dumps(values, indent=1) + "\n"

@@ -6,6 +6,7 @@ from scipy import ndimage
 
 import spreadlets as sp
 from spreadlets.runtime.label.pixels import frame_pixels
+from spreadlets.scene.shutter import shutter_shares
 
 SIZE, N_TIMES = 72, 48
 SHUTTER = (-0.25, 0.25)
@@ -59,6 +60,43 @@ def test_an_iris_that_closes_changes_the_blur_alone():
     camera = lens(sp.LensKey(-0.25, f_number=0.3), sp.LensKey(0.25, f_number=2.0))
     truth = np.mean([blurred(camera.at(t), 9.0) for t in TIMES], axis=0)
     assert inner_ssim(sp.synthesize(plane(9.0), camera), truth) > 0.995
+
+
+@pytest.mark.parametrize("curve", [(0.0, 1.0), "trapezoid:0.5,0.25"])
+@pytest.mark.parametrize(("database", "depth"), [("combined", 5.0), ("simplelens", 5.0), ("combined", 3.0)])
+def test_a_shutter_that_opens_slowly_is_the_weighted_mean_of_its_moments(database, depth, curve):
+    motion = np.broadcast_to(np.float32([24.0, 12.0]), (SIZE, SIZE, 2))
+    still = blurred(lens(), depth)
+    weight = shutter_shares(curve, N_TIMES)
+    moved = [ndimage.shift(still, (12 * t, 24 * t, 0), order=1, mode="nearest") for t in TIMES]
+    truth = np.tensordot(weight, np.array(moved), 1)
+    camera = lens(shutter_curve=curve)
+    assert inner_ssim(sp.synthesize(plane(depth, motion=motion), camera, database), truth) > 0.985
+    assert inner_ssim(sp.synthesize(plane(depth, motion=motion), lens(), database), truth) < 0.98
+
+
+def test_a_pull_of_focus_is_weighed_by_the_shutter_too():
+    keys = sp.LensKey(-0.25, focus_distance_m=2.0), sp.LensKey(0.25, focus_distance_m=6.0)
+    camera = lens(*keys, shutter_curve=(0.0, 0.0, 1.0))
+    truth = np.tensordot(
+        shutter_shares(camera.shutter_curve, N_TIMES), np.array([blurred(camera.at(t), 5.0) for t in TIMES]), 1
+    )
+    assert inner_ssim(sp.synthesize(plane(), camera), truth) > 0.995
+    assert inner_ssim(sp.synthesize(plane(), lens(*keys)), truth) < 0.99
+
+
+def test_a_shutter_that_is_fully_open_all_the_time_changes_nothing():
+    frame = plane(5.0, motion=np.full((SIZE, SIZE, 2), 9.0))
+    assert np.array_equal(sp.synthesize(frame, lens(shutter_curve=(2.0, 2.0))), sp.synthesize(frame, lens()))
+    still = sp.synthesize(plane(), lens(shutter_curve=(0.0, 1.0)))
+    assert np.array_equal(still, sp.synthesize(plane(), lens()))
+
+
+def test_two_shutter_curves_are_one_too_many(tmp_path):
+    model = sp.models.Combined(max_coc=4, max_motion=4, shutter_curve=(0, 1))
+    sp.build_database(model, tmp_path / "a.h5", samples=4, jobs=1)
+    with pytest.raises(sp.errors.InvalidParameterError, match=r"'a\.h5' has a shutter curve, and so has the camera"):
+        sp.synthesize(plane(), lens(shutter_curve=(1, 0)), tmp_path / "a.h5")
 
 
 def test_a_rolling_shutter_shears_what_moves():

@@ -183,6 +183,17 @@ def test_a_sequence_is_one_report_and_resumes(run, shot, small_combined_path):
     assert np.array_equal(exr.read_image(shot / "out.01.exr"), exr.read_image(shot / "out.03.exr"))
 
 
+def test_a_shutter_curve_is_an_option_of_the_camera(run, scene, small_combined_path):
+    for curve, brighter in (("0,1", True), ("1,0", False)):
+        assert run(*synth_arguments(scene, small_combined_path), "--shutter-curve", curve)[0] == 0
+        image = exr.read_image(scene / "out.exr")
+        if brighter:
+            late = image
+    assert not np.array_equal(image, late)
+    status, _, err = run(*synth_arguments(scene, small_combined_path), "--shutter-curve", "1")
+    assert status == 2 and "--shutter-curve is [1.0]" in err
+
+
 def test_a_camera_that_goes_from_frame_to_frame_carries_a_sequence_along(run, shot, small_combined_path):
     camera = json.loads((shot / "camera.json").read_text())
     for number in (1, 2):

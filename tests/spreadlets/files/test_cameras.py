@@ -349,6 +349,14 @@ def test_messages_spell_options_as_they_are_typed():
     assert option("f_number") == "f_number"
 
 
+def test_the_shutter_curve_of_a_json_camera(tmp_path):
+    path = write_json(tmp_path / "camera.json", shutter_curve="trapezoid:0.5,0.5")
+    assert read_camera(path).shutter_curve[32] == 1.0
+    assert read_camera(path, shutter_curve=(0, 1)).shutter_curve == (0.0, 1.0)
+    with pytest.raises(InvalidCameraError, match=r"camera\.json: shutter_curve is \[1.0\]"):
+        read_camera(write_json(path, shutter_curve=[1]))
+
+
 def test_keys_of_a_json_camera_change_the_lens_over_time(tmp_path):
     keys = [{"time": -0.5, "focus_distance_m": 2.0}, {"time": 0.5, "focus_distance_m": 4.0}]
     camera = read_camera(write_json(tmp_path / "pull.json", keys=keys, readout_frames=0.25))
