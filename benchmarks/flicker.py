@@ -4,9 +4,10 @@
 
 Three cards stand at 2, 3.5 and 6 m, textured and anti-aliased, 4 x 4 samples in each pixel, with small lamps on the
 farthest. Rack: the focus goes from 2 to 6 m, evenly in 1 / distance. Dolly: the camera comes nearer by 1 m, so every
-card moves and grows. At rest: nothing changes. The frames are drawn in layers, as a renderer gives them, or in one. The
-truth of every frame is drawn as dense as can be: each card by itself, convolved with the exact disc of its CoC (64 x 64
-samples in each pixel), colour and alpha, and put over the farther ones.
+card moves and grows. At rest: nothing changes. Frames have overscan, so that they hold all that the truth shows. They
+are drawn in layers, as a renderer gives them, or in one, which does not hold what is hidden: there what is guessed
+counts, too. The truth of every frame is drawn as dense as can be: each card by itself, convolved with the exact disc of
+its CoC (64 x 64 samples in each pixel), colour and alpha, and put over the farther ones.
 
 Columns: RMS of the differences between one frame and the next, less that of the truth, displayed (sRGB), as a share of
 the range, and the same as PSNR; the worst pair of frames; in which pair it is; the SSIM of the worst frame. ``dense``:
@@ -25,6 +26,7 @@ from scipy import ndimage, signal
 
 import spreadlets as sp
 from spreadlets.scene.display import display_encode
+from spreadlets.scene.raster import Raster, Window
 
 DEPTHS = (2.0, 3.5, 6.0)
 """Of the cards, metres, the nearest first."""
@@ -90,15 +92,18 @@ def truth(shown: list[Card], camera: sp.ThinLens, size: int, margin: int) -> np.
 
 
 def frames_of(shown: list[Card], margin: int) -> dict[str, sp.Frame]:
-    """Return the frame in layers, and in one."""
-    layers = [np.ascontiguousarray(card.picture[margin:-margin, margin:-margin], np.float32) for card in shown]
+    """Return the frame in layers, and in one, with overscan."""
+    layers = [np.ascontiguousarray(card.picture, np.float32) for card in shown]
     depths = [np.full(layer.shape[:2], card.depth, np.float32) for layer, card in zip(layers, shown, strict=True)]
-    whole, depth = np.zeros_like(layers[0]), np.full_like(depths[0], DEPTHS[-1])
+    whole, depth = np.zeros_like(layers[0]), depths[-1]
+    side = len(whole)
+    inner = Window(0, 0, side - 2 * margin, side - 2 * margin)
+    raster = Raster(Window(-margin, -margin, side, side), inner)
     for layer, each in zip(layers[::-1], depths[::-1], strict=True):
         whole = layer + (1.0 - layer[..., 3:]) * whole
         depth = np.where(layer[..., 3] > 0.5, each, depth)
-    stacked = sp.Frame.from_layers([sp.Frame(*pair) for pair in zip(layers, depths, strict=True)])
-    return {"layered": stacked, "single": sp.Frame(whole, depth)}
+    stacked = sp.Frame.from_layers([sp.Frame(*pair, raster=raster) for pair in zip(layers, depths, strict=True)])
+    return {"layered": stacked, "single": sp.Frame(whole, depth, raster=raster)}
 
 
 def displayed(image: np.ndarray) -> np.ndarray:
@@ -124,7 +129,8 @@ def case(
         for form, frame in frames_of(shown, margin).items():
             for method in ("spreadlets", "dense"):
                 row = f"{form}, {method}"
-                image = displayed(sp.synthesize(frame, camera, "combined", method=method))
+                whole = sp.synthesize(frame, camera, "combined", method=method)
+                image = displayed(whole[margin:-margin, margin:-margin])
                 made.setdefault(row, []).append(image)
                 worst[row] = min(worst.get(row, 1.0), sp.metrics.ssim(image, expected[-1]))
     for row, images in made.items():

@@ -39,6 +39,9 @@ LIKE = 0.05
 """Mean squared relative difference, summed over features, up to which two places show the same texture."""
 LEAST_UNLIKE = 0.001
 """Added to what weights are in inverse proportion to."""
+BRIGHTEST = 4.0
+"""How many times as bright as the mean around it what is copied may be: a lamp that is not there would catch the eye,
+and in a sequence it would flash."""
 COLOUR, ALPHA, BLUR = 4, 3, -1
 """Colour comes first among the features, with alpha; how far a pixel blurs, px, comes last."""
 
@@ -201,6 +204,57 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                     start, stop = _pixels_in(j, level, corner[1], layer.shape[1])
                     for c in range(features.shape[2]):
                         features[i, j, c] /= np.float32((last - first) * (stop - start))
+
+
+@kernel
+def sum_light(begin, end, features, corner, light):
+    """Fill ``light`` (h / BLOCK, w / BLOCK, 2), float64, with the light and the alpha of blocks of cells.
+
+    Parameters
+    ----------
+    features : ndarray of shape (h, w, n), float32
+        See `add_features`.
+    corner : tuple of two ints
+        Row and column of the first cell, counted from the picture's centre.
+    """
+    above, before = corner[0] % BLOCK, corner[1] % BLOCK
+    for block in range(begin, end):
+        light[block] = 0.0
+        for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
+            for j in range(features.shape[1]):
+                total, each = light[block, (j + before) // BLOCK], features[i, j]
+                total[0] += max(each[0], each[1], each[2])
+                total[1] += each[ALPHA]
+
+
+@kernel
+def dim_highlights(begin, end, light, corner, features):
+    """Dim cells that are more than `BRIGHTEST` times as bright as the blocks around them.
+
+    Parameters
+    ----------
+    light, corner
+        See `sum_light`.
+    features : ndarray of shape (h, w, n), float32
+        Changed.
+    """
+    above, before = corner[0] % BLOCK, corner[1] % BLOCK
+    for block in range(begin, end):
+        for across in range(light.shape[1]):
+            # The mean of the block and those beside it.
+            total, cover = 0.0, 0.0
+            for k in range(max(block - 1, 0), min(block + 2, light.shape[0])):
+                for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
+                    total += light[k, m, 0]
+                    cover += light[k, m, 1]
+            limit = BRIGHTEST * total / max(cover, NEGLIGIBLE)
+            for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
+                for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
+                    each = features[i, j]
+                    brightest, most = max(each[0], each[1], each[2]), limit * each[ALPHA]
+                    if brightest > most:
+                        for c in range(ALPHA):
+                            each[c] *= np.float32(most / brightest)
 
 
 @kernel

@@ -202,7 +202,7 @@ def _corner(corner: tuple[int, int], level: int) -> tuple[int, int]:
 def _features(
     seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, wanted: BoolArray, shape: tuple[int, int, int]
 ) -> Image:
-    """Return what the surfaces of a frame show of a layer, see the kernel."""
+    """Return what the surfaces of a frame show of a layer, without highlights, see the kernels."""
     features = np.zeros(shape, np.float32)
     for each, at, (layer, _) in zip(seen.passes, seen.at, surfaces, strict=True):
         planes = layer.depths, layer.motions
@@ -211,6 +211,10 @@ def _features(
             _behind_kernels.add_features(0, len(at), *given)
         else:
             for_bands(_behind_kernels.add_features, len(features), *given)
+    # What is copied holds no lamps.
+    inner, light = _corner(seen.corner, level), np.empty((*wanted.shape, 2))
+    for_bands(_behind_kernels.sum_light, len(light), features, inner, light)
+    for_bands(_behind_kernels.dim_highlights, len(light), light, inner, features)
     return features
 
 

@@ -55,6 +55,17 @@ def test_a_pattern_goes_on_behind_a_post():
     assert np.median(error) < 0.02 and error.mean() < 0.15
 
 
+@pytest.mark.interpreted
+def test_lamps_are_not_copied():
+    behind = checkerboard()
+    behind[[12, 36, 52], [22, 24, 40]] = 60.0
+    assert hidden(post_before(behind))[0].max() < 4.0, "no pixel is much brighter than 4 times what is around"
+    # As bright as everything around is no lamp.
+    bright = 20.0 * checkerboard()
+    colours, share = hidden(post_before(bright))
+    assert np.median(np.abs(colours[..., :3] - bright)[8:-8, POST].max(axis=2)[share[8:-8, POST] > 0.5]) < 0.4
+
+
 def test_an_even_surface_stays_even():
     colours, share = hidden(post_before(np.full((SIZE, SIZE, 3), 0.4)))
     assert np.allclose(colours[share > 0], (0.4, 0.4, 0.4, 1.0), atol=0.005)
