@@ -367,30 +367,46 @@ def _find_sources(purity, row, col, which, count, source, trust):
 
 
 @helper
-def _spread(place, row, col, reach):
-    """Return by how much the places around a pixel differ, without what is infinitely far."""
+def _range_columns(place, row, first, ranges):
+    """Fill the least and the largest places of columns, over 3 and over 5 rows, without what is infinitely far.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+    row, first : int
+        The middle row and the first column; beyond the border, the nearest pixels repeat.
+    ranges : ndarray of shape (4, n), float32
+        Filled: low and high of 3 rows, low and high of 5.
+    """
     height, width = place.shape
-    low = high = place[row, col]
-    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for j in range(max(col - reach, 0), min(col + reach + 1, width)):
-            each = place[i, j]
-            if each < low:
-                low = each
-            elif each > high and each != math.inf:
-                high = each
-    return high - low
+    for j in range(ranges.shape[1]):
+        col = min(max(first + j, 0), width - 1)
+        low = far_low = np.float32(np.inf)
+        high = far_high = np.float32(-np.inf)
+        for i in range(row - REACH, row + REACH + 1):
+            each = place[min(max(i, 0), height - 1), col]
+            finite = each if each != np.inf else np.float32(-np.inf)
+            far_low, far_high = min(far_low, each), max(far_high, finite)
+            if abs(i - row) <= 1:
+                low, high = min(low, each), max(high, finite)
+        ranges[0, j], ranges[1, j], ranges[2, j], ranges[3, j] = low, high, far_low, far_high
 
 
 @helper
-def _is_mixed(place, radiance, row, col, gap):
-    """Return whether a surface ends right beside a pixel; or near it, and something near outshines the pixel."""
-    if _spread(place, row, col, 1) >= gap:
-        return True
-    if _spread(place, row, col, REACH) < gap:
-        return False
+def _spread(low, high, first, count):
+    """Return by how much places differ within columns of which the least and largest are known."""
+    least, largest = low[first], high[first]
+    for j in range(first + 1, first + count):
+        least, largest = min(least, low[j]), max(largest, high[j])
+    return largest - least
+
+
+@helper
+def _is_outshone(radiance, row, col):
+    """Return whether something near outshines a pixel."""
     limit = _brightness(radiance[row, col]) + OUTSHINING
-    for i in range(max(row - REACH, 0), min(row + REACH + 1, len(place))):
-        for j in range(max(col - REACH, 0), min(col + REACH + 1, place.shape[1])):
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, radiance.shape[0])):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, radiance.shape[1])):
             if _brightness(radiance[i, j]) >= limit:
                 return True
     return False
@@ -398,7 +414,10 @@ def _is_mixed(place, radiance, row, col, gap):
 
 @kernel
 def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
-    """List the pixels around which places differ by the gap: their columns, row by row.
+    """List the mixed pixels: their columns, row by row.
+
+    A surface ends right beside them; or near them, and something near outshines them. At an end places differ by the
+    gap.
 
     Parameters
     ----------
@@ -412,14 +431,21 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
     counts : ndarray of shape (H,), int64
         Filled.
     """
+    ranges = np.empty((4, TILE + 2 * REACH), np.float32)
     for row in range(begin, end):
         count = 0
         for across in range(mixed.shape[1]):
-            if mixed[row // TILE, across]:
-                for col in range(across * TILE, min((across + 1) * TILE, place.shape[1])):
-                    if place[row, col] != math.inf and _is_mixed(place, radiance, row, col, gap):
-                        columns[row, count] = col
-                        count += 1
+            if not mixed[row // TILE, across]:
+                continue
+            first = across * TILE
+            _range_columns(place, row, first - REACH, ranges)
+            for col in range(first, min(first + TILE, place.shape[1])):
+                if place[row, col] == np.inf or _spread(ranges[2], ranges[3], col - first, 2 * REACH + 1) < gap:
+                    continue
+                ends = _spread(ranges[0], ranges[1], col - first + REACH - 1, 3) >= gap
+                if ends or _is_outshone(radiance, row, col):
+                    columns[row, count] = col
+                    count += 1
         counts[row] = count
 
 
