@@ -4,14 +4,20 @@ import numpy as np
 
 from spreadlets.compiled import kernel
 
+ONE = 1 << 20
+"""A value of 1 in the sums. They are whole numbers: what comes and goes cancels, even where the sum of a row exceeds the
+range of an int32 and wraps. Only that of a disc may not: of 2047 px, more than is summed pixel by pixel."""
+
 
 @kernel
 def sum_rows(begin, end, image, sums):
-    """Fill ``sums`` (H, W + 1), float64, with the sums of the pixels before each of a row."""
+    """Fill ``sums`` (H, W + 1), int32, with the sums of the pixels before each of a row, of values from 0 to 1."""
     for row in range(begin, end):
-        sums[row, 0] = 0.0
+        total = 0
+        sums[row, 0] = 0
         for col in range(image.shape[1]):
-            sums[row, col + 1] = sums[row, col] + image[row, col]
+            total += int(image[row, col] * np.float32(ONE) + np.float32(0.5))
+            sums[row, col + 1] = np.int32(total)
 
 
 @kernel
@@ -20,7 +26,7 @@ def sum_spans(begin, end, sums, first, last, mean):
 
     Parameters
     ----------
-    sums : ndarray of shape (H, W + 1), float64
+    sums : ndarray of shape (H, W + 1), int32
         See `sum_rows`. Beyond the border the nearest pixels repeat.
     first, last : ndarray of shape (2 n + 1,), int64
         Columns of the spans' ends, relative to the pixel's.
@@ -28,28 +34,29 @@ def sum_spans(begin, end, sums, first, last, mean):
     """
     height, width = mean.shape
     n = len(first) // 2
-    scale = 1.0 / (last - first + 1).sum()
-    total = np.empty(width)
+    scale = np.float32(1.0 / (ONE * (last - first + 1).sum()))
+    total = np.empty(width, np.int32)
     for row in range(begin, end):
-        total[:] = 0.0
+        total[:] = 0
         for each in range(len(first)):
             # Take the prefix sums of the row; beyond the border, the nearest row repeats.
             line = sums[min(max(row + each - n, 0), height - 1)]
             left, right = first[each], last[each] + 1
-            before, behind = line[1], line[width] - line[width - 1]
+            before, behind = line[1], np.int32(line[width] - line[width - 1])
             # Within the image, a span is a difference of two prefix sums.
-            inner_begin, inner_end = max(0, -left), max(max(0, -left), width - max(right, 0))
-            for col in range(inner_begin, inner_end):
-                total[col] += line[col + right] - line[col + left]
+            inner_begin = min(max(0, -left), width)
+            inner_end = max(inner_begin, width - max(right, 0))
+            inner = total[inner_begin:inner_end]
+            lows, highs = line[inner_begin + left :], line[inner_begin + right :]
+            for col in range(inner.shape[0]):
+                inner[col] += highs[col] - lows[col]
             # Across the border, it is its inner part and repetitions of the pixels at the ends.
-            for col in range(width):
-                if inner_begin <= col < inner_end:
-                    continue
-                low, high = col + left, col + right
-                total[col] += line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
-                total[col] += before * (max(-low, 0) - max(-high, 0)) + behind * (
-                    max(high - width, 0) - max(low - width, 0)
-                )
+            for begin_col, end_col in ((0, inner_begin), (inner_end, width)):
+                for col in range(begin_col, end_col):
+                    low, high = col + left, col + right
+                    total[col] += line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
+                    total[col] += before * (max(-low, 0) - max(-high, 0))
+                    total[col] += behind * (max(high - width, 0) - max(low - width, 0))
         for col in range(width):
             mean[row, col] = total[col] * scale
 

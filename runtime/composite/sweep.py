@@ -20,7 +20,7 @@ def sweep_blur(image: Image, radius: float, path: tuple[float, float]) -> Image:
     Parameters
     ----------
     image : ndarray of shape (H, W), float32
-        Its border pixels repeat outside.
+        Values from 0 to 1, which are blurred to 1e-6; the border pixels repeat outside.
     radius : float
         Of the disc, px.
     path : tuple of two floats
@@ -62,7 +62,7 @@ def _blurred(image: Image, radius: float, path: tuple[float, float]) -> Image:
     first, last = sweep_spans(radius, path)
     if len(first) == 1 and first[0] == last[0]:
         return image
-    sums = np.empty((image.shape[0], image.shape[1] + 1), np.float64)
+    sums = np.empty((image.shape[0], image.shape[1] + 1), np.int32)
     blurred = np.empty_like(image)
     for_bands(_sweep_kernels.sum_rows, len(sums), image, sums)
     for_bands(_sweep_kernels.sum_spans, len(image), sums, first, last, blurred)
