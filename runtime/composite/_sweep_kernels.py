@@ -5,8 +5,8 @@ import numpy as np
 from spreadlets.compiled import kernel
 
 ONE = 1 << 20
-"""A value of 1 in the sums. They are whole numbers: what comes and goes cancels, even where the sum of a row exceeds the
-range of an int32 and wraps. Only that of a disc may not: of 2047 px, more than is summed pixel by pixel."""
+"""A value of 1 in the sums. They are whole numbers: what comes and goes cancels, even where the sum of a row is beyond
+the range of an int32 and wraps. Only that of a disc may not: of 2047 px, more than are summed pixel by pixel."""
 
 
 @kernel
