@@ -3,10 +3,15 @@
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._vector_kernels import add, load, multiply
 
 COVERAGE, COUNT, REST, LAST = range(4)
 """What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
 alone."""
+
+NONE = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+"""The sums of a pixel outside the canvas."""
+_U = np.uint64
 
 SOLVER_ERROR = np.float32(0.005)
 """Measure, of a pixel's 1, up to which sums may be errors of the Poisson solver and the spreadlets' far fields."""
@@ -15,6 +20,8 @@ SOLVER_ERROR = np.float32(0.005)
 @helper
 def _sure(measure):
     """Return how far sums of this measure are to be believed, from 0 to 1."""
+    if measure >= np.float32(2.0) * SOLVER_ERROR:
+        return np.float32(1.0)
     return min(max(measure / SOLVER_ERROR - np.float32(1.0), np.float32(0.0)), np.float32(1.0))
 
 
@@ -46,13 +53,13 @@ def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
 
 
 @helper
-def _blend(out, red, green, blue, alpha, opaque):
+def _blend(image, row, col, red, green, blue, alpha, opaque):
     """Put a premultiplied colour behind a pixel."""
-    left = np.float32(1.0) - out[3]
-    out[0] += left * red
-    out[1] += left * green
-    out[2] += left * blue
-    out[3] = np.float32(1.0) if opaque else min(out[3] + left * alpha, np.float32(1.0))
+    left = np.float32(1.0) - image[row, col, 3]
+    image[row, col, 0] += left * red
+    image[row, col, 1] += left * green
+    image[row, col, 2] += left * blue
+    image[row, col, 3] = np.float32(1.0) if opaque else min(image[row, col, 3] + left * alpha, np.float32(1.0))
 
 
 @kernel
@@ -83,7 +90,7 @@ def add_layer(begin, end, image, padded, top, left, seen, kind):
             scale = one / _measure(weight, seen[row, col] if seen.shape[0] else one, kind)
             alpha = max(weight * scale, np.float32(0.0))
             r, g, b = padded[i, j, 0] * scale, padded[i, j, 1] * scale, padded[i, j, 2] * scale
-            _blend(image[row, col], r, g, b, alpha, kind == LAST)
+            _blend(image, row, col, r, g, b, alpha, kind == LAST)
 
 
 @kernel
@@ -94,26 +101,24 @@ def pull_sums(begin, end, padded, top, left, seen, kind, shape, odd, coarse):
     image's first row or column is the second of its pair.
     """
     rows, cols = padded.shape[:2]
+    sums = padded.reshape(padded.size)
     for row in range(begin, end):
+        first, last = max(2 * row - odd[0], 0), min(2 * row + 2 - odd[0], shape[0])
         for col in range(coarse.shape[1]):
             # Sum colour, weight and measure over the block, each pixel as far as it is sure.
-            red = green = blue = weight = measure = np.float32(0.0)
-            for y in range(max(2 * row - odd[0], 0), min(2 * row + 2 - odd[0], shape[0])):
+            total, measure = NONE, np.float32(0.0)
+            for y in range(first, last):
                 for x in range(max(2 * col - odd[1], 0), min(2 * col + 2 - odd[1], shape[1])):
-                    i, j = y - top, x - left
-                    own = np.float32(0.0)
+                    each, i, j = NONE, y - top, x - left
                     if 0 <= i < rows and 0 <= j < cols:
-                        own = padded[i, j, 3]
-                    each = _measure(own, seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
-                    sure = _sure(each)
-                    if 0 <= i < rows and 0 <= j < cols:
-                        red += sure * padded[i, j, 0]
-                        green += sure * padded[i, j, 1]
-                        blue += sure * padded[i, j, 2]
-                    weight += sure * own
-                    measure += sure * each
-            out = coarse[row, col]
-            out[0], out[1], out[2], out[3], out[4] = red, green, blue, weight, measure
+                        each = load(sums, _U(4 * (i * cols + j)))
+                    own = _measure(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
+                    sure = _sure(own)
+                    total = add(total, multiply((sure, sure, sure, sure), each))
+                    measure += sure * own
+            for c in range(4):
+                coarse[row, col, c] = total[c]
+            coarse[row, col, 4] = measure
 
 
 @kernel
@@ -122,7 +127,8 @@ def pull(begin, end, fine, odd, coarse):
     height, width = fine.shape[:2]
     for row in range(begin, end):
         for col in range(coarse.shape[1]):
-            coarse[row, col] = np.float32(0.0)
+            for c in range(5):
+                coarse[row, col, c] = np.float32(0.0)
             for y in range(max(2 * row - odd[0], 0), min(2 * row + 2 - odd[0], height)):
                 for x in range(max(2 * col - odd[1], 0), min(2 * col + 2 - odd[1], width)):
                     for c in range(5):
@@ -130,16 +136,35 @@ def pull(begin, end, fine, odd, coarse):
 
 
 @helper
-def _interpolate(coarse, row, col, c):
-    """Interpolate channel c of a pyramid's coarser level linearly at a pixel of the finer one, counted from a pair."""
-    height, width = coarse.shape[:2]
+def _between(near, far):
+    """Return what lies a quarter of the way between two vectors."""
+    quarter = np.float32(0.25)
+    return (
+        near[0] + quarter * (far[0] - near[0]),
+        near[1] + quarter * (far[1] - near[1]),
+        near[2] + quarter * (far[2] - near[2]),
+        near[3] + quarter * (far[3] - near[3]),
+    )
+
+
+@helper
+def _interpolate(coarse, shape, row, col):
+    """Interpolate a pyramid's coarser level linearly at a pixel of the finer one, counted from a pair.
+
+    The level (H, W, 5) is flat. Return four channels as a vector, and the fifth.
+    """
+    height, width = shape[:2]
     near_row, near_col = row // 2, col // 2
     next_row = min(max(near_row + (1 if row % 2 else -1), 0), height - 1)
     next_col = min(max(near_col + (1 if col % 2 else -1), 0), width - 1)
-    quarter = np.float32(0.25)
-    near = coarse[near_row, near_col, c] + quarter * (coarse[near_row, next_col, c] - coarse[near_row, near_col, c])
-    far = coarse[next_row, near_col, c] + quarter * (coarse[next_row, next_col, c] - coarse[next_row, near_col, c])
-    return near + quarter * (far - near)
+    near, near_beside = _U(5 * (near_row * width + near_col)), _U(5 * (near_row * width + next_col))
+    far, far_beside = _U(5 * (next_row * width + near_col)), _U(5 * (next_row * width + next_col))
+    one = _between(load(coarse, near), load(coarse, near_beside))
+    other = _between(load(coarse, far), load(coarse, far_beside))
+    quarter, fifth = np.float32(0.25), _U(4)
+    upper = coarse[near + fifth] + quarter * (coarse[near_beside + fifth] - coarse[near + fifth])
+    lower = coarse[far + fifth] + quarter * (coarse[far_beside + fifth] - coarse[far + fifth])
+    return _between(one, other), upper + quarter * (lower - upper)
 
 
 @kernel
@@ -157,6 +182,7 @@ def push(begin, end, fine, coarse, odd, least):
     least : float32
         Measure from which a pixel stands for itself; below, the rest to this measure is filled.
     """
+    sums = coarse.reshape(coarse.size)
     for row in range(begin, end):
         for col in range(fine.shape[1]):
             measure = fine[row, col, 4]
@@ -165,37 +191,35 @@ def push(begin, end, fine, coarse, odd, least):
                     fine[row, col, c] /= measure
                 continue
             missing = np.float32(1.0) - measure / least
-            for c in range(5):
-                fine[row, col, c] = fine[row, col, c] / least + missing * _interpolate(
-                    coarse, row + odd[0], col + odd[1], c
-                )
+            around, fifth = _interpolate(sums, coarse.shape, row + odd[0], col + odd[1])
+            for c in range(4):
+                fine[row, col, c] = fine[row, col, c] / least + missing * around[c]
+            fine[row, col, 4] = measure / least + missing * fifth
 
 
 @kernel
 def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, odd, least):
     """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
     rows, cols = padded.shape[:2]
+    sums, around = padded.reshape(padded.size), coarse.reshape(coarse.size)
     zero, one = np.float32(0.0), np.float32(1.0)
-    each = np.empty(4, np.float32)
     for row in range(begin, end):
         for col in range(image.shape[1]):
             if image[row, col, 3] >= one:
                 continue
             # Normalise the layer's sum by how much of it was seen.
-            i, j = row - top, col - left
-            inside = 0 <= i < rows and 0 <= j < cols
-            weight = padded[i, j, 3] if inside else zero
-            share = seen[row, col] if seen.shape[0] else one
-            measure = _measure(weight, share, kind)
+            each, i, j = NONE, row - top, col - left
+            if 0 <= i < rows and 0 <= j < cols:
+                each = load(sums, _U(4 * (i * cols + j)))
+            measure = _measure(each[3], seen[row, col] if seen.shape[0] else one, kind)
             sure = _sure(measure)
             measure *= sure
             scale = sure / max(measure, least)
-            for c in range(4):
-                each[c] = scale * padded[i, j, c] if inside else zero
+            each = multiply((scale, scale, scale, scale), each)
             # Fill the share that is missing from the pyramid.
             if measure < least:
                 missing = one - measure / least
-                for c in range(4):
-                    each[c] += missing * _interpolate(coarse, row + odd[0], col + odd[1], c)
+                colour, _ = _interpolate(around, coarse.shape, row + odd[0], col + odd[1])
+                each = add(each, multiply((missing, missing, missing, missing), colour))
             # Put the layer behind the image.
-            _blend(image[row, col], each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)
+            _blend(image, row, col, each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 ONE = 1 << 20
 """A value of 1 in the sums. They are whole numbers: what comes and goes cancels, even where the sum of a row is beyond
@@ -18,6 +18,16 @@ def sum_rows(begin, end, image, sums):
         for col in range(image.shape[1]):
             total += int(image[row, col] * np.float32(ONE) + np.float32(0.5))
             sums[row, col + 1] = np.int32(total)
+
+
+@helper
+def _crossing_span(line, low, high):
+    """Return the sum of a row's pixels from ``low`` up to ``high``, by its prefix sums; those at the ends repeat."""
+    width = len(line) - 1
+    before, behind = line[1], np.int32(line[width] - line[width - 1])
+    inside = line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
+    outside = before * (max(-low, 0) - max(-high, 0)) + behind * (max(high - width, 0) - max(low - width, 0))
+    return inside + outside
 
 
 @kernel
@@ -42,7 +52,6 @@ def sum_spans(begin, end, sums, first, last, mean):
             # Take the prefix sums of the row; beyond the border, the nearest row repeats.
             line = sums[min(max(row + each - n, 0), height - 1)]
             left, right = first[each], last[each] + 1
-            before, behind = line[1], np.int32(line[width] - line[width - 1])
             # Within the image, a span is a difference of two prefix sums.
             inner_begin = min(max(0, -left), width)
             inner_end = max(inner_begin, width - max(right, 0))
@@ -51,12 +60,10 @@ def sum_spans(begin, end, sums, first, last, mean):
             for col in range(inner.shape[0]):
                 inner[col] += highs[col] - lows[col]
             # Across the border, it is its inner part and repetitions of the pixels at the ends.
-            for begin_col, end_col in ((0, inner_begin), (inner_end, width)):
-                for col in range(begin_col, end_col):
-                    low, high = col + left, col + right
-                    total[col] += line[min(max(high, 0), width)] - line[min(max(low, 0), width)]
-                    total[col] += before * (max(-low, 0) - max(-high, 0))
-                    total[col] += behind * (max(high - width, 0) - max(low - width, 0))
+            for col in range(inner_begin):
+                total[col] += _crossing_span(line, col + left, col + right)
+            for col in range(inner_end, width):
+                total[col] += _crossing_span(line, col + left, col + right)
         for col in range(width):
             mean[row, col] = total[col] * scale
 
@@ -79,14 +86,20 @@ def shrink(begin, end, image, factor, small):
 def enlarge(begin, end, small, factor, image):
     """Fill ``image`` with ``small``, the means of blocks of ``factor`` x ``factor`` pixels, interpolated linearly."""
     height, width = small.shape
+    line = np.empty(width + 2, np.float32)
     for row in range(begin, end):
+        # Interpolate along the columns; beyond the ends of the row, its pixels repeat.
         y = min(max((row + 0.5) / factor - 0.5, 0.0), height - 1.0)
         i = min(int(y), height - 1)
-        below, down = min(i + 1, height - 1), y - i
-        for col in range(image.shape[1]):
-            x = min(max((col + 0.5) / factor - 0.5, 0.0), width - 1.0)
-            j = min(int(x), width - 1)
-            right, across = min(j + 1, width - 1), x - j
-            upper = small[i, j] + across * (small[i, right] - small[i, j])
-            lower = small[below, j] + across * (small[below, right] - small[below, j])
-            image[row, col] = upper + down * (lower - upper)
+        upper, lower, down = small[i], small[min(i + 1, height - 1)], np.float32(y - i)
+        for j in range(width):
+            line[1 + j] = upper[j] + down * (lower[j] - upper[j])
+        line[0], line[width + 1] = line[1], line[width]
+        # Interpolate along the row, pixels of like phase together.
+        for phase in range(factor):
+            x = (phase + 0.5) / factor + 0.5
+            before = line[int(x) :]
+            behind, across = before[1:], np.float32(x - int(x))
+            target = image[row, phase::factor]
+            for j in range(len(target)):
+                target[j] = before[j] + across * (behind[j] - before[j])

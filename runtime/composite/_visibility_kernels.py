@@ -49,71 +49,84 @@ def _share_before(layer, farther, number):
 
 
 @kernel
-def add_cover(begin, end, variant, layer, farther, radiance, weight, number, nearer, beyond):
-    """Add what a pass of pixels covers of each pixel before a layer, and take off what it covers up to and with it.
+def cover_planes(begin, end, variant, layer, farther, radiance, weight, cover, place):
+    """Find what pixels cover, and in which layers.
 
     Parameters
     ----------
     variant, layer, farther : ndarray of shape (H, W)
-        Of the pass, see `runtime.plan.layering.Membership`.
+        See `runtime.plan.layering.Membership`.
     radiance : ndarray of shape (H, W, 4), float32
-        Its alpha, times ``weight`` (H, W), or (0, 0) for 1, is what it covers.
+        Its alpha, times ``weight`` (H, W), or (0, 0) for 1, is what a pixel covers.
+    cover : ndarray of shape (H, W), float32
+        Filled; 0 where nothing is drawn.
+    place : ndarray of shape (H, W), float32
+        Filled with the number of the layer and the share of the next one.
+    """
+    for row in range(begin, end):
+        for col in range(variant.shape[1]):
+            share = radiance[row, col, 3] * (weight[row, col] if weight.shape[0] else np.float32(1.0))
+            cover[row, col] = share if variant[row, col] >= 0 else np.float32(0.0)
+            place[row, col] = np.float32(layer[row, col]) + farther[row, col]
+
+
+@helper
+def _covered(cover, place, number):
+    """Return what a pixel covers of layers before a number."""
+    return cover * min(max(np.float32(number) - place, np.float32(0.0)), np.float32(1.0))
+
+
+@kernel
+def add_listed_cover(cover, place, at, number, nearer, beyond):
+    """Add what the pixels of a list cover before a layer, and take off what they cover up to and with it.
+
+    Parameters
+    ----------
+    cover, place : ndarray of shape (h, w), float32
+        See `cover_planes`.
+    at : ndarray of shape (h, w, 2), int32
+        Their rows and columns in the frame.
     number : int
         The layer.
     nearer, beyond : ndarray of shape (H, W), float32
         Changed in place.
     """
-    for row in range(begin, end):
-        for col in range(variant.shape[1]):
-            if variant[row, col] >= 0:
-                cover = radiance[row, col, 3] * (weight[row, col] if weight.shape[0] else np.float32(1.0))
-                nearer[row, col] += cover * _share_before(layer[row, col], farther[row, col], number)
-                beyond[row, col] -= cover * _share_before(layer[row, col], farther[row, col], number + 1)
+    for i in range(cover.shape[0]):
+        for j in range(cover.shape[1]):
+            row, col = at[i, j, 0], at[i, j, 1]
+            nearer[row, col] += _covered(cover[i, j], place[i, j], number)
+            beyond[row, col] -= _covered(cover[i, j], place[i, j], number + 1)
 
 
 @kernel
-def add_listed_cover(variant, layer, farther, radiance, weight, at, number, nearer, beyond):
-    """Do as `add_cover` for a list of pixels at ``at`` (h, w, 2), int32: row and column in the frame."""
-    for i in range(variant.shape[0]):
-        for j in range(variant.shape[1]):
-            if variant[i, j] >= 0 and layer[i, j] <= number:
-                row, col = at[i, j, 0], at[i, j, 1]
-                cover = radiance[i, j, 3] * weight[i, j]
-                nearer[row, col] += cover * _share_before(layer[i, j], farther[i, j], number)
-                beyond[row, col] -= cover * _share_before(layer[i, j], farther[i, j], number + 1)
-
-
-@kernel
-def take_hidden(variant, layer, farther, radiance, weight, at, number, beyond):
+def take_hidden(cover, place, at, number, beyond):
     """Take off ``beyond`` what a list of hidden pixels would cover in a layer; arguments as for `add_listed_cover`."""
-    for i in range(variant.shape[0]):
-        for j in range(variant.shape[1]):
-            if variant[i, j] >= 0:
-                own = _share_before(layer[i, j], farther[i, j], number + 1)
-                own -= _share_before(layer[i, j], farther[i, j], number)
-                beyond[at[i, j, 0], at[i, j, 1]] -= radiance[i, j, 3] * weight[i, j] * own
+    for i in range(cover.shape[0]):
+        for j in range(cover.shape[1]):
+            own = _covered(cover[i, j], place[i, j], number + 1) - _covered(cover[i, j], place[i, j], number)
+            beyond[at[i, j, 0], at[i, j, 1]] -= own
 
 
 @kernel
-def complete_cover(begin, end, known, number, nearer, beyond):
-    """Make shares of what `add_cover` has summed, within 0 and 1, in place.
+def complete_cover(begin, end, cover, place, known, number, nearer, beyond):
+    """Add what the pixels of a frame cover to what lists do, and make shares of both, within 0 and 1, in place.
 
     Parameters
     ----------
     known : ndarray of shape (H, W), uint64
         Bits of the layers in which each pixel is known: what nearer ones hide of it there counts to what lies beyond.
-    number, nearer, beyond
-        See `add_cover`.
+    cover, place, number, nearer, beyond
+        See `add_listed_cover`; of all pixels of the frame.
     """
-    bit = np.uint64(1) << np.uint64(number)
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, one, shift = np.float32(0.0), np.float32(1.0), np.uint64(number)
     for row in range(begin, end):
-        for col in range(known.shape[1]):
-            hidden, left = nearer[row, col], one + beyond[row, col]
-            if known[row, col] & bit:
-                hidden, left = zero, left + hidden
-            nearer[row, col] = min(max(hidden, zero), one)
-            beyond[row, col] = min(max(left, zero), one)
+        covers, places, bits, hidden, left = cover[row], place[row], known[row], nearer[row], beyond[row]
+        for col in range(len(covers)):
+            before = hidden[col] + _covered(covers[col], places[col], number)
+            rest = one + left[col] - _covered(covers[col], places[col], number + 1)
+            counted = np.float32((bits[col] >> shift) & np.uint64(1))
+            hidden[col] = min(max((one - counted) * before, zero), one)
+            left[col] = min(max(rest + counted * before, zero), one)
 
 
 @kernel

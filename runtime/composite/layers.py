@@ -60,22 +60,49 @@ def _means(total: npt.NDArray[np.float64]) -> Moments:
     return Moments(coc, coc_squared, length_squared, (x, y))
 
 
+class CoverPart(NamedTuple):
+    """What a set of pixels covers, and where those of a list lie.
+
+    Attributes
+    ----------
+    cover, place : ndarray of shape (H, W), float32
+        See `runtime.composite._visibility_kernels.cover_planes`.
+    at : ndarray of shape (H, W, 2), int32, or None
+        Rows and columns; None for all pixels of a frame.
+    """
+
+    cover: Image
+    place: Image
+    at: npt.NDArray[np.int32] | None
+
+
 class Cover(NamedTuple):
     """What the pixels of a frame cover.
 
     Attributes
     ----------
-    seen : sequence of (members, pixels)
-        Their weights and alphas are the shares that they cover.
-    hidden : sequence of (members, pixels)
+    frame : CoverPart
+        All pixels of the frame.
+    seen : sequence of CoverPart
+        Lists of what else is seen of them.
+    hidden : sequence of CoverPart
         Lists; what they would cover if nothing were nearer.
     known : ndarray of shape (H, W), uint64
         Bits of the layers in which nothing of a pixel is unknown, even where nearer ones hide it.
     """
 
-    seen: Sequence[tuple[Membership, Pixels]]
-    hidden: Sequence[tuple[Membership, Pixels]]
+    frame: CoverPart
+    seen: Sequence[CoverPart]
+    hidden: Sequence[CoverPart]
     known: npt.NDArray[np.uint64]
+
+
+def cover_part(members: Membership, pixels: Pixels) -> CoverPart:
+    """Return what pixels cover; their weights and alphas are the shares that they do."""
+    places = pixels.labels.view.places
+    cover, place = np.empty((2, *members.variant.shape), np.float32)
+    for_bands(_visibility_kernels.cover_planes, len(cover), *members, pixels.radiance, pixels.weight, cover, place)
+    return CoverPart(cover, place, None if places is None else places.at)
 
 
 def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
@@ -90,17 +117,12 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     """
     # Sum what nearer layers cover, and take off what they and this one do.
     nearer, beyond = np.zeros((2, *cover.known.shape), np.float32)
-    for members, pixels in cover.seen:
-        shares, places = (pixels.radiance, pixels.weight), pixels.labels.view.places
-        if places is None:
-            for_bands(_visibility_kernels.add_cover, len(beyond), *members, *shares, number, nearer, beyond)
-        else:
-            _visibility_kernels.add_listed_cover(*members, *shares, places.at, number, nearer, beyond)
-    for members, pixels in cover.hidden:
-        assert pixels.labels.view.places is not None, "what is hidden is a list"
-        at = pixels.labels.view.places.at
-        _visibility_kernels.take_hidden(*members, pixels.radiance, pixels.weight, at, number, beyond)
-    for_bands(_visibility_kernels.complete_cover, len(beyond), cover.known, number, nearer, beyond)
+    for part in cover.seen:
+        _visibility_kernels.add_listed_cover(*part, number, nearer, beyond)
+    for part in cover.hidden:
+        _visibility_kernels.take_hidden(*part, number, beyond)
+    given = *cover.frame[:2], cover.known, number, nearer, beyond
+    for_bands(_visibility_kernels.complete_cover, len(beyond), *given)
     # Blur both as the layer is, and divide.
     blur = moments.disc_radius(), moments.motion
     factor = reduction(*blur)

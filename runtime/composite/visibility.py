@@ -39,9 +39,9 @@ class ShareBeyond:
     least = LEAST_SEEN
 
     def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan, known: npt.NDArray[np.uint64], n_hidden: int) -> None:
-        covers = list(zip(plan.members, pixel_sets, strict=True))
+        covers = [layers.cover_part(*each) for each in zip(plan.members, pixel_sets, strict=True)]
         n_seen = len(covers) - n_hidden
-        self.cover = layers.Cover(covers[:n_seen], covers[n_seen:], known)
+        self.cover = layers.Cover(covers[0], covers[1:n_seen], covers[n_seen:], known)
         self.moments = layers.layer_moments(
             [(each, each.labels.whole_path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,

@@ -7,6 +7,9 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._vector_kernels import load, multiply, store
+
+_U = np.uint64
 
 
 class Colours(NamedTuple):
@@ -90,34 +93,40 @@ def extend_frame(begin, end, frame, colours, reach, origin, radiance, label):
     origin : tuple of two ints
         Row and column, in the frame, of the first extended pixel.
     radiance, label : ndarray of shapes (h, w, 4), float32, and (h, w), int32
-        Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours stay as
-        they were.
+        Colours and labels of the extended frame; filled, labels with -1 where nothing is drawn. There, colours mean
+        nothing.
     """
-    share = frame.weight
-    height, width = frame.label.shape
+    own, weight, labels = frame.radiance.reshape(frame.radiance.size), frame.weight, frame.label
+    target, pitch, (height, width) = radiance.reshape(radiance.size), label.shape[1], labels.shape
+    above, below, left, right = colours
     for i in range(begin, end):
-        # Find the nearest pixel of the frame.
         down = origin[0] + i
         row = min(max(down, 0), height - 1)
-        for j in range(label.shape[1]):
-            right = origin[1] + j
-            col = min(max(right, 0), width - 1)
-            index = frame.label[row, col]
-            # Draw nothing that lies too far outside for its PSF to reach back.
-            weight = share[row, col] if share.shape[0] else np.float32(1.0)
-            distance = max(abs(down - row), abs(right - col))
-            if index < 0 or (distance > 0 and distance > reach[index % len(reach)]):
-                label[i, j] = -1
+        first = -origin[1] if down == row else pitch
+        # Continue colours beyond the border; draw nothing that is black, or too far outside for its PSF to reach back.
+        for j in range(pitch - (width if down == row else 0)):
+            j += width if j >= first else 0
+            col = min(max(origin[1] + j, 0), width - 1)
+            index = labels[row, col]
+            label[i, j] = -1
+            if index < 0 or max(abs(down - row), abs(origin[1] + j - col)) > reach[index % len(reach)]:
                 continue
-            # Weight the frame's own pixels.
-            if distance == 0:
-                label[i, j] = index
-                for c in range(4):
-                    radiance[i, j, c] = weight * frame.radiance[row, col, c]
-                continue
-            # Continue colours beyond the border; black ones draw nothing.
-            colour = colour_beyond(colours, down, right, row, col)
-            dark = colour[0] == 0 and colour[1] == 0 and colour[2] == 0 and colour[3] == 0
-            label[i, j] = -1 if dark else index
+            share = weight[row, col] if weight.shape[0] else np.float32(1.0)
             for c in range(4):
-                radiance[i, j, c] = weight * colour[c]
+                if down != row:
+                    colour = above[col, c] if down < row else below[col, c]
+                else:
+                    colour = left[row, c] if j < first else right[row, c]
+                radiance[i, j, c] = share * colour
+                if colour != 0:
+                    label[i, j] = index
+        if down != row:
+            continue
+        # Weight the frame's own pixels.
+        for col in range(width):
+            index = labels[row, col]
+            label[i, first + col] = max(index, np.int32(-1))
+            if index >= 0:
+                share = weight[row, col] if weight.shape[0] else np.float32(1.0)
+                pixel = load(own, _U(4 * (row * width + col)))
+                store(target, _U(4 * (i * pitch + first + col)), multiply((share, share, share, share), pixel))

@@ -103,75 +103,70 @@ def _scale_step(excess, steps_per_octave, n_steps):
     return int(math.ceil(steps_per_octave * math.log2(excess)))
 
 
-@helper(inline="always")
-def _same(coordinate, heading, coc, row, col):
-    """Tell whether a pixel has the labels of the one to its left."""
-    same = coc[row, col] == coc[row, col - 1]
-    for axis in range(len(coordinate)):
-        same &= coordinate[axis][row, col] == coordinate[axis][row, col - 1]
-    return (
-        same and heading[row, col, 0] == heading[row, col - 1, 0] and heading[row, col, 1] == heading[row, col - 1, 1]
-    )
-
-
-@helper(inline="always")
-def _extent(coordinate, row, col, grid, sizes):
-    """Return the extent of a pixel's PSF, px, and how many times it exceeds the range."""
-    extent, factor = 0.0, 0.0
-    for axis in range(len(coordinate)):
-        size = abs(np.float64(coordinate[axis][row, col]))
-        extent += sizes.share[axis] * size
-        if sizes.scaling[axis]:
-            factor = max(factor, size / grid.remap[axis, 0])
-    return extent, factor
-
-
-@helper(inline="always")
-def _place(coordinate, row, col, shrink, grid, sizes, unit):
-    """Fill ``unit`` (n_axes,), float64, with a pixel's place in the grid, its PSF made smaller by a factor."""
-    for axis in range(len(coordinate)):
-        size = abs(np.float64(coordinate[axis][row, col])) * (shrink if sizes.scaling[axis] else 1.0)
-        unit[axis] = grid_coordinate(size, grid.remap[axis], grid.shape[axis])
-
-
-@helper(inline="always")
-def _cell(unit, grid):
-    """Return the cell of a place in the grid."""
-    index = 0
-    for axis in range(len(unit)):
-        index = index * grid.shape[axis] + min(int(unit[axis]), grid.shape[axis] - 1)
-    return grid.unit_cell[index]
-
-
-@helper(inline="always")
-def _key(cell, step, pose, row, col, grid):
-    """Return the key of a cell's PSF in the pixel's direction, larger by some steps."""
-    n_poses = grid.cell_start[cell + 1] - grid.cell_start[cell]
-    angle = math.atan2(pose.heading[row, col, 1], pose.heading[row, col, 0]) if n_poses > 1 else 0.0
-    number, transpose, flip_row, flip_col = fold_pose(angle, pose.coc[row, col] < 0.0, n_poses, pose.codes)
-    orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
-    return 1 + 8 * (step * grid.cell_start[-1] + grid.cell_start[cell] + number) + orientation
+# Kernels take arrays out of tuples, and numbers out of arrays, once: for each pixel it costs as much as its arithmetic.
 
 
 @helper
-def _shared_cell(unit, row, col, grid):
-    """Return the cell that a block takes of those about a place in the grid, which is overwritten.
+def _axis(number, grid, sizes):
+    """Return an axis's remapping, units, whether it scales the PSF and its share in the extent; of none, one unit."""
+    if number >= len(grid.shape):
+        return (1.0, 1.0, 0.0), 1, False, 0.0
+    remap = grid.remap[number, 0], grid.remap[number, 1], grid.remap[number, 2]
+    return remap, grid.shape[number], sizes.scaling[number], sizes.share[number]
+
+
+@helper(inline="always")
+def _extent(one, other, first, second):
+    """Return the extent of a PSF of two coordinates, px, and how many times it exceeds the range of their axes."""
+    factor = one / first[0][0] if first[2] else 0.0
+    if second[2]:
+        factor = max(factor, other / second[0][0])
+    return first[3] * one + second[3] * other, factor
+
+
+@helper(inline="always")
+def _place(size, shrink, axis):
+    """Return the place of a coordinate on its axis, the PSF made smaller by a factor."""
+    return grid_coordinate(size * (shrink if axis[2] else 1.0), axis[0], axis[1])
+
+
+@helper(inline="always")
+def _cell(one, other, first, second, unit_cell):
+    """Return the cell of a place in the grid."""
+    return unit_cell[min(int(one), first[1] - 1) * second[1] + min(int(other), second[1] - 1)]
+
+
+@helper(inline="always")
+def _key(cell, step, x, y, coc, codes, cell_start):
+    """Return the key of a cell's PSF in the direction (x, y) on a side of the focus, larger by some steps."""
+    n_poses = cell_start[cell + 1] - cell_start[cell]
+    angle = math.atan2(y, x) if n_poses > 1 else np.float32(0.0)
+    number, transpose, flip_row, flip_col = fold_pose(angle, coc < 0.0, n_poses, codes)
+    orientation = int(transpose) + 2 * int(flip_row) + 4 * int(flip_col)
+    return 1 + 8 * (step * cell_start[-1] + cell_start[cell] + number) + orientation
+
+
+@helper
+def _shared_cell(place, axes, row, col, unit_cell, bounds):
+    """Return the cell that a block takes of those about a place (2,) in the grid, which is overwritten.
 
     Axis by axis, the place lies between the middles of its cell and of the next. The block takes the next if its
     threshold is below the share of the way: so the mean of many blocks lies at the place.
     """
-    for axis in range(len(unit)):
-        low, high = grid.bounds[_cell(unit, grid), axis]
-        place, middle = unit[axis], 0.5 * (low + high)
-        unit[axis] = middle
-        if high < grid.shape[axis] if place > middle else low > 0.0:
-            unit[axis] = high + 0.5 if place > middle else low - 0.5
-            low, high = grid.bounds[_cell(unit, grid), axis]
-            other = 0.5 * (low + high)
+    first, second = axes
+    for axis in range(bounds.shape[1]):
+        cell, n_units = _cell(place[0], place[1], first, second, unit_cell), axes[axis][1]
+        low, high, wanted = bounds[cell, axis, 0], bounds[cell, axis, 1], place[axis]
+        middle = 0.5 * (low + high)
+        place[axis] = middle
+        if high < n_units if wanted > middle else low > 0.0:
+            place[axis] = high + 0.5 if wanted > middle else low - 0.5
+            cell = _cell(place[0], place[1], first, second, unit_cell)
+            other = 0.5 * (bounds[cell, axis, 0] + bounds[cell, axis, 1])
             down, across = PHASES[axis]
             threshold = ((row * down + col * across) & PHASE_MASK) / (PHASE_MASK + 1.0)
-            unit[axis] = other if threshold < (place - middle) / (other - middle) else middle
-    return _cell(unit, grid)
+            place[axis] = other if threshold < (wanted - middle) / (other - middle) else middle
+    return _cell(place[0], place[1], first, second, unit_cell)
 
 
 @kernel
@@ -183,7 +178,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
     colour : tuple of two ndarrays of shapes (H, W, 4) and (H, W) or (0, 0), float32
         Colours and weights; no weights means 1. Pixels of zero colour and alpha, or weight, get the key `INVISIBLE`.
     coordinate : tuple of n_axes ndarrays of shape (H, W), float32
-        Physical coordinates; their signs are ignored.
+        Physical coordinates on one or two axes; their signs are ignored.
     pose : PoseLabels
     grid : GridTables
     sizes : Sizes
@@ -194,45 +189,47 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
         largest scale step.
     """
     radiance, weight = colour
-    heading, coc = pose.heading, pose.coc
-    unit = np.empty(len(grid.remap))
+    heading, coc, shift, codes = pose
+    unit_cell, cell_start, first, second = grid.unit_cell, grid.cell_start, _axis(0, grid, sizes), _axis(1, grid, sizes)
+    steps_per_octave, n_steps, _, _, sharp_extent, longest, largest_disc = sizes
+    ones, others = coordinate[0], coordinate[-1]
     for row in range(begin, end):
-        excess[row] = 0.0
+        worst, count, largest_step = 0.0, 0, 0
         for col in range(radiance.shape[1]):
             r, g, b, a = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2], radiance[row, col, 3]
             if not (r or g or b or a) or (weight.shape[0] and weight[row, col] == 0):
                 key[row, col] = INVISIBLE
                 continue
+            x, y, radius = heading[row, col, 0], heading[row, col, 1], coc[row, col]
             # Neighbours on one flat, still surface share all their labels; counting an excess needs the long way.
-            if col > 0 and key[row, col - 1] >= 0 and excess[row, 1] == 0 and _same(coordinate, heading, coc, row, col):
-                key[row, col] = key[row, col - 1]
-                continue
-            extent, factor = _extent(coordinate, row, col, grid, sizes)
-            if extent <= sizes.sharp_extent:
+            if col > 0 and count == 0 and key[row, col - 1] >= 0:
+                same = x == heading[row, col - 1, 0] and y == heading[row, col - 1, 1] and radius == coc[row, col - 1]
+                if same and ones[row, col] == ones[row, col - 1] and others[row, col] == others[row, col - 1]:
+                    key[row, col] = key[row, col - 1]
+                    continue
+            one, other = abs(np.float64(ones[row, col])), abs(np.float64(others[row, col]))
+            extent, factor = _extent(one, other, first, second)
+            if extent <= sharp_extent:
                 key[row, col] = SHARP
                 continue
-            radius = abs(np.float64(coordinate[0][row, col]))
-            if radius <= sizes.largest_disc and extent - radius <= STILL:
-                key[row, col] = FIRST_STREAK - disc_code(radius)
+            if one <= largest_disc and extent - one <= STILL:
+                key[row, col] = FIRST_STREAK - disc_code(one)
                 continue
-            if radius <= sizes.sharp_extent and sizes.longest_streak > 0.0:
-                x, y = np.float64(heading[row, col, 0]), np.float64(heading[row, col, 1])
-                if max(abs(x), abs(y)) <= sizes.longest_streak:
+            if one <= sharp_extent and longest > 0.0:
+                if max(abs(x), abs(y)) <= longest:
                     across, down = 0.0, 0.0
-                    if len(pose.shift):
-                        across, down = np.float64(pose.shift[row, col, 0]), np.float64(pose.shift[row, col, 1])
-                    key[row, col] = FIRST_STREAK - streak_code(x, y, across, down)
+                    if len(shift):
+                        across, down = np.float64(shift[row, col, 0]), np.float64(shift[row, col, 1])
+                    key[row, col] = FIRST_STREAK - streak_code(np.float64(x), np.float64(y), across, down)
                     continue
-            step = 0
-            shrink = 1.0
+            step, shrink = 0, 1.0
             if factor > 1.0:
-                step = _scale_step(factor, sizes.steps_per_octave, sizes.n_steps)
-                shrink = 2.0 ** (-step / sizes.steps_per_octave)
-                excess[row, 0] = max(excess[row, 0], factor)
-                excess[row, 1] += 1
-                excess[row, 2] = max(excess[row, 2], step)
-            _place(coordinate, row, col, shrink, grid, sizes, unit)
-            key[row, col] = _key(_cell(unit, grid), step, pose, row, col, grid)
+                step = _scale_step(factor, steps_per_octave, n_steps)
+                shrink = 2.0 ** (-step / steps_per_octave)
+                worst, count, largest_step = max(worst, factor), count + 1, max(largest_step, step)
+            cell = _cell(_place(one, shrink, first), _place(other, shrink, second), first, second, unit_cell)
+            key[row, col] = _key(cell, step, x, y, radius, codes, cell_start)
+        excess[row, 0], excess[row, 1], excess[row, 2] = worst, count, largest_step
 
 
 @kernel
@@ -252,22 +249,30 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
     key : ndarray of shape (H, W), int64
         Changed in place.
     """
-    unit = np.empty(len(grid.remap))
+    heading, coc, _, codes = pose
+    _, _, unit_cell, bounds, cell_start = grid
+    steps_per_octave, n_steps, at, corner = sizes.steps_per_octave, sizes.n_steps, places.at, places.corner
+    first, second = _axis(0, grid, sizes), _axis(1, grid, sizes)
+    ones, others, place = coordinate[0], coordinate[-1], np.empty(2)
     for row in range(begin, end):
         for col in range(radiance.shape[1]):
             r, g, b = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2]
             if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= limit:
                 continue
-            extent, factor = _extent(coordinate, row, col, grid, sizes)
+            one, other = abs(np.float64(ones[row, col])), abs(np.float64(others[row, col]))
+            extent, factor = _extent(one, other, first, second)
             if extent < WIDE_EXTENT:
                 continue
-            y, x = row, col
-            if len(places.at):
-                y, x = np.int64(places.at[row, col, 0]), np.int64(places.at[row, col, 1])
-            step = _scale_step(factor, sizes.steps_per_octave, sizes.n_steps)
-            _place(coordinate, row, col, 2.0 ** (-step / sizes.steps_per_octave), grid, sizes, unit)
-            block = (y + places.corner[0]) >> BLOCK_BITS, (x + places.corner[1]) >> BLOCK_BITS
-            key[row, col] = _key(_shared_cell(unit, block[0], block[1], grid), step, pose, row, col, grid)
+            down, across = row, col
+            if len(at):
+                down, across = np.int64(at[row, col, 0]), np.int64(at[row, col, 1])
+            step = _scale_step(factor, steps_per_octave, n_steps)
+            shrink = 2.0 ** (-step / steps_per_octave)
+            place[0], place[1] = _place(one, shrink, first), _place(other, shrink, second)
+            block = (down + corner[0]) >> BLOCK_BITS, (across + corner[1]) >> BLOCK_BITS
+            x, y = heading[row, col, 0], heading[row, col, 1]
+            cell = _shared_cell(place, (first, second), block[0], block[1], unit_cell, bounds)
+            key[row, col] = _key(cell, step, x, y, coc[row, col], codes, cell_start)
 
 
 @kernel

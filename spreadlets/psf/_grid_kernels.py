@@ -73,7 +73,7 @@ def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray)
 
 
 @helper
-def grid_coordinate(value: float, remap: DoubleArray, n_units: int) -> float:
+def grid_coordinate(value: float, remap: tuple[float, float, float], n_units: int) -> float:
     """Map a physical coordinate to grid units, clamped to [0, n_units] (LKS 5.2).
 
     ``remap`` holds the axis's maximum, its power, and its floor on the remapped axis: `psf_model.PsfGrid.remap`.
@@ -104,7 +104,9 @@ def grid_coordinates(coordinates: DoubleArray, remap: DoubleArray, shape: IntArr
     out = np.empty(coordinates.shape, dtype=np.float64)
     for row in range(coordinates.shape[0]):
         for axis in range(coordinates.shape[1]):
-            out[row, axis] = grid_coordinate(coordinates[row, axis], remap[axis], shape[axis])
+            out[row, axis] = grid_coordinate(
+                coordinates[row, axis], (remap[axis, 0], remap[axis, 1], remap[axis, 2]), shape[axis]
+            )
     return out
 
 

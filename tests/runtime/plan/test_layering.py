@@ -16,7 +16,14 @@ from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
-from spreadlets.runtime.composite.layers import Cover, Moments, layer_moments, passing_samples, share_beyond
+from spreadlets.runtime.composite.layers import (
+    Cover,
+    Moments,
+    cover_part,
+    layer_moments,
+    passing_samples,
+    share_beyond,
+)
 from spreadlets.runtime.label.labels import Labels, Places, View
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import layering
@@ -177,7 +184,7 @@ SHARP = Moments(0.0, 0.0, 0.0, (0.0, 0.0))
 def beyond(members, number, moments=SHARP, alpha=1.0, weight=NOTHING):
     radiance = np.full((*members.layer.shape, 4), alpha, np.float32)
     known = np.ones(members.layer.shape, np.uint64)
-    return share_beyond(Cover([(members, pixels_of(radiance, weight))], [], known), number, moments)
+    return share_beyond(Cover(cover_part(members, pixels_of(radiance, weight)), [], [], known), number, moments)
 
 
 def pixels_of(radiance, weight, places=None):
@@ -208,7 +215,7 @@ def test_where_a_layer_is_known_what_nearer_ones_hide_of_it_counts():
     at = Places(np.array([[(0, col) for col in range(4)]], np.int32), (1, 4))
     hidden = members_of([[1, 1, 1, 1]]), pixels_of(colours, np.float32([[1.0, 0.25, 0.0, 0.0]]), at)
     known = np.array([[0b11, 0b11, 0b1, 0b1]], np.uint64)
-    found = share_beyond(Cover([seen], [hidden], known), 1, SHARP)
+    found = share_beyond(Cover(cover_part(*seen), [], [cover_part(*hidden)], known), 1, SHARP)
     assert np.allclose(found, [[0, 1, 0, 1]]), "the layer's, in part its, unknown, not hidden"
 
 
