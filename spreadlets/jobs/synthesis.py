@@ -16,6 +16,7 @@ from spreadlets.jobs.job import Job, PathChange, Progress, compared
 
 if TYPE_CHECKING:
     from spreadlets.arrays import Image
+    from spreadlets.files.exr_file import Source
     from spreadlets.files.recognise import ReadOptions
     from spreadlets.models import Model
     from spreadlets.psf.database import Database
@@ -28,15 +29,15 @@ PASSES = ("depth_file", "motion_file", "alpha_file")
 
 
 class _Given(NamedTuple):
-    """What the files hold: frame, camera, reference, further colour layers as frames, and all other channels.
+    """What the files hold: frame, further colour layers as frames by name, camera, reference, and all other channels.
 
     And of each frame before or after the frame itself, and its further colour layers.
     """
 
     frame: Frame
+    elements: dict[str, Frame]
     camera: ThinLens
     truth: Image | None
-    elements: list[tuple[str, Frame]]
     channels: dict[str, Any]
     neighbours: list[tuple[Frame, dict[str, Frame]]]
 
@@ -152,7 +153,7 @@ class Synthesis(Job):
         database = self._database(frame, camera)
         around = [neighbour for neighbour, _ in given.neighbours]
         # What is hidden in further colours is taken from theirs, which takes a plan of its own.
-        frames = [] if around else [element for _, element in given.elements]
+        frames = [] if around else list(given.elements.values())
         with Renderer(frame, database, hidden_from=around, progress=progress) as renderer:
             (image, *blurred), report = renderer.render_all(frames, camera, clock, **rendering)
             raster, coc = renderer.raster(**rendering), renderer.coc(camera, **rendering) if self.output_coc else None
@@ -160,10 +161,10 @@ class Synthesis(Job):
             text = f"{frame.repaired_pixels} invalid pixels were mended, {frame.dropped_pixels} dropped"
             warnings.warn(text, stacklevel=1)
         figures = compared(*_alike(image, given.truth, raster, rendering)) if given.truth is not None else {}
-        for name, element in given.elements if around else ():
+        for name, element in given.elements.items() if around else ():
             with Renderer(element, database, hidden_from=[each[name] for _, each in given.neighbours]) as apart:
                 blurred.append(apart.render(camera, clock=clock, **rendering))
-        for (name, _), colours in zip(given.elements, blurred, strict=True):
+        for name, colours in zip(given.elements, blurred, strict=True):
             further |= named_channels(name, colours)
         with clock.step("write"):
             write_image(self.output, image, bit_depth=self.bit_depth, raster=raster, channels=further)
@@ -173,10 +174,10 @@ class Synthesis(Job):
 
     def _read(self) -> _Given:
         """Read all that the files hold for this image."""
-        from spreadlets.files import exr_frames as exr
         from spreadlets.files.cameras import camera_of, moved_along
         from spreadlets.files.exr_file import opened
-        from spreadlets.files.further_channels import other_channels, with_colours
+        from spreadlets.files.exr_frames import read_reference
+        from spreadlets.files.further_channels import other_channels
         from spreadlets.files.recognise import ReadOptions
 
         with opened(self.inputs) as files:
@@ -184,23 +185,22 @@ class Synthesis(Job):
             camera = camera_of(self.camera, self.lens, files[0], scale, self.time_code)
             camera = moved_along(camera, self.cameras_around, scale)
             options = ReadOptions(**self.reading, camera=camera)
-            frame = exr.read_frame(files, options=options)
-            elements = list(with_colours(files, frame, self.also, options.view))
+            frame, elements = self._coloured(files, options)
             channels: dict[str, Any] = {}
             if self.pass_through:
                 channels = other_channels(files, frame.raster, options.colour_layer, options.view)
-        truth = exr.read_reference(self.reference, options) if self.reference else None
-        neighbours = [self._neighbour(path, ReadOptions(**each, camera=camera)) for path, each in self.hidden_from]
-        return _Given(frame, camera, truth, elements, channels, neighbours)
+        truth = read_reference(self.reference, options) if self.reference else None
+        neighbours = [self._coloured([path], ReadOptions(**each, camera=camera)) for path, each in self.hidden_from]
+        return _Given(frame, elements, camera, truth, channels, neighbours)
 
-    def _neighbour(self, path: str, options: ReadOptions) -> tuple[Frame, dict[str, Frame]]:
-        """Read a frame before or after, and its further colour layers."""
-        from spreadlets.files import exr_frames as exr
+    def _coloured(self, paths: Sequence[Source], options: ReadOptions) -> tuple[Frame, dict[str, Frame]]:
+        """Read a frame, and its further colour layers."""
         from spreadlets.files.exr_file import opened
+        from spreadlets.files.exr_frames import read_frame
         from spreadlets.files.further_channels import with_colours
 
-        with opened([path]) as files:
-            frame = exr.read_frame(files, options=options)
+        with opened(paths) as files:
+            frame = read_frame(files, options=options)
             return frame, dict(with_colours(files, frame, self.also, options.view))
 
     def _database(self, frame: Frame, camera: ThinLens) -> Database | Model:

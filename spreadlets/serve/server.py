@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hmac
 import json
 import os
-import secrets
 import socket
 import socketserver
 import threading
@@ -17,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from spreadlets.errors import InvalidParameterError, SpreadletsError
+from spreadlets.serve.local import HOST, is_token, new_token
 from spreadlets.serve.protocol import MOST_BYTES, Answer, RefusedError, Request, parse_request
 from spreadlets.version import __version__
 
-HOST = "127.0.0.1"
 READ_S = 10.0
 """How long a request may take to arrive, s; the connection is then closed."""
 MOST_CONNECTIONS = 32
@@ -67,7 +65,7 @@ class Server:
         token: str | None = None,
         idle_s: float | None = None,
     ) -> None:
-        self.token = token or secrets.token_urlsafe(24)
+        self.token = token or new_token()
         self._run, self._commands, self._path = run, commands, path
         self._turn = threading.Lock()
         self._idle_s, self._asked = idle_s, time.monotonic()
@@ -98,7 +96,7 @@ class Server:
 
     def answer(self, method: str, target: str, token: str, body: bytes) -> tuple[int, dict[str, Any]]:
         """Return the status of HTTP and the content for a request."""
-        if not hmac.compare_digest(token.encode(), f"Bearer {self.token}".encode()):
+        if not is_token(token, f"Bearer {self.token}"):
             raise RefusedError(401, "the token is missing or wrong")
         self._asked = time.monotonic()
         if (method, target) == ("GET", "/"):

@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 import os
-import secrets
 import socket
 import struct
 import tempfile
@@ -22,12 +21,12 @@ import numpy as np
 from spreadlets.errors import InvalidParameterError, SpreadletsError
 from spreadlets.files.images import write_image
 from spreadlets.packages import optional_package
+from spreadlets.serve.local import HOST, is_token, new_token
 from spreadlets.view import picture
 from spreadlets.view.keys import camera_files
 from spreadlets.view.session import Request, Studio, Superseded, Worker
 from spreadlets.view.settings import Settings, checked
 
-HOST = "127.0.0.1"
 PAGE = Path(__file__).parent / "page"
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 MOST_MESSAGE_BYTES = 1 << 16
@@ -68,7 +67,7 @@ class Server:
         self._uvicorn = optional_package("uvicorn", "view", "the page")
         optional_package("starlette", "view", "the page")
         optional_package("websockets", "view", "the page")
-        self.studio, self.token = studio, secrets.token_urlsafe(24)
+        self.studio, self.token = studio, new_token()
         self._socket = _listening(port)
         self.port = int(self._socket.getsockname()[1])
         self._folder = tempfile.TemporaryDirectory(prefix="spreadlets-view-")
@@ -125,7 +124,7 @@ class Server:
         here = {f"{name}:{self.port}" for name in (HOST, "localhost")}
         origin = request.headers.get("origin")
         return (
-            secrets.compare_digest(given.encode(), self.token.encode())
+            is_token(given, self.token)
             and request.headers.get("host") in here
             and (origin is None or origin in {f"http://{each}" for each in here})
         )
