@@ -259,6 +259,7 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
             r, g, b = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2]
             if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= limit:
                 continue
+            # Small PSFs show no block.
             one, other = abs(np.float64(ones[row, col])), abs(np.float64(others[row, col]))
             extent, factor = _extent(one, other, first, second)
             if extent < WIDE_EXTENT:
