@@ -29,8 +29,8 @@ def block_sums(begin, end, image, total, count, floor, side, sums):
         Brightness below which the weight of a pixel grows no more.
     side : int
         Of a block, px.
-    sums : ndarray of shape (3, rows, cols, 3), float64
-        Filled, for R, G and B: ``w y (m - y)``, ``w y y`` and ``(w y (m - y))^2`` with the image y, the mean m of
+    sums : ndarray of shape (4, rows, cols, 3), float64
+        Filled, for R, G and B: ``p = w y (m - y)``, ``w y y``, ``p^2`` and ``p^4`` with the image y, the mean m of
         the samples, and the weight w, the number of samples over the squared brightness.
     """
     height, width = count.shape
@@ -42,6 +42,7 @@ def block_sums(begin, end, image, total, count, floor, side, sums):
                     n = np.float64(count[row, col])
                     if n == 0:
                         continue
+                    # Weigh the pixel, and sum up what its samples say of each colour.
                     bright = (np.float64(image[row, col, 0]) + image[row, col, 1] + image[row, col, 2]) / 3.0
                     weight = n / (bright * bright + floor * floor)
                     for c in range(3):
@@ -50,6 +51,7 @@ def block_sums(begin, end, image, total, count, floor, side, sums):
                         sums[0, i, j, c] += part
                         sums[1, i, j, c] += weight * value * value
                         sums[2, i, j, c] += part * part
+                        sums[3, i, j, c] += part * part * part * part
 
 
 @kernel

@@ -21,15 +21,19 @@ from spreadlets.runtime.finish import _calibration_kernels
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
-SCALES = (16.0, 8.0, 4.0)
+SCALES = (16.0, 8.0, 4.0, 2.0)
 """Standard deviations of the windows, px."""
 BLOCK = 4
-"""Side of the blocks, px, that stand for their pixels: windows of the finest scale are one block wide."""
-CAUTION = 2.0
-"""By how many times its variance the square of a gain, less one, must exceed noise to be believed at all."""
-SURROUNDINGS = 4.0
-"""Gains and their variances are compared over windows so many times wider: where few samples carry the light, as under
-the bokeh of a small lamp, a window may hold none of them, and would look certain of being too bright."""
+"""Side, px, at most, of the blocks that stand for their pixels: windows are at least one block wide."""
+FEW = 16.0
+"""The square of a gain, less one, must exceed its variance to be believed at all; and twice that where no more samples
+than so many carry the noise around."""
+SURROUNDINGS, LEAST_SURROUNDINGS = 4.0, 16.0
+"""Gains and their variances are compared over windows so many times wider, and at least so many px: where few samples
+carry the light, as under the bokeh of a small lamp, a window may hold none of them, and would look certain of being too
+bright."""
+STEPS_ACROSS = 4.0
+"""Such wide windows are moved in steps of a part of their standard deviation."""
 LARGEST_GAIN = 4.0
 FLOOR = 0.5
 """Brightness, in medians of the image, below which noise does not get less."""
@@ -84,28 +88,48 @@ def calibrate(image: Image, radiance: Sequence[Image], valid: npt.NDArray[np.boo
     if not (bright > 0).any():
         return
     floor = FLOOR * float(np.median(bright[bright > 0]))
-    rows, cols = (-(-size // BLOCK) for size in image.shape[:2])
-    sums = np.empty((3, rows, cols, 3), np.float64)
     for scale in SCALES:
         if LEAST_WINDOWS * scale <= min(image.shape[:2]):
-            for_bands(_calibration_kernels.block_sums, rows, image, total, count, floor, BLOCK, sums)
-            for_bands(_calibration_kernels.apply_gain, len(image), image, _gain(sums, scale), BLOCK)
+            side = min(BLOCK, int(scale))
+            rows, cols = (-(-size // side) for size in image.shape[:2])
+            sums = np.empty((4, rows, cols, 3), np.float64)
+            for_bands(_calibration_kernels.block_sums, rows, image, total, count, floor, side, sums)
+            for_bands(_calibration_kernels.apply_gain, len(image), image, _gain(sums, scale, side), side)
 
 
-def _gain(sums: npt.NDArray[np.float64], scale: float) -> npt.NDArray[np.float64]:
+def _gain(sums: npt.NDArray[np.float64], scale: float, side: int) -> npt.NDArray[np.float64]:
     """Return the gain of each block, (rows, cols, 3)."""
-    part, square, noise = sums
-    width = scale / BLOCK
+    part, square, noise, _ = sums
+    width = scale / side
     below = _blurred(square, width)
     tiny = 1e-12 * max(float(below.max()), np.finfo(np.float64).tiny)
     change = _blurred(part, width) / (below + tiny)
     # The square of a Gaussian window is one that is narrower by the square root of 2.
     variance = _blurred(noise, width / np.sqrt(2)) / (below + tiny) ** 2 / (4 * np.pi * width**2)
-    wide = SURROUNDINGS * width
-    power = _blurred(change**2, wide)
-    believed = 1.0 - CAUTION * _blurred(variance, wide) / np.where(power > 0, power, np.inf)
+    wide = max(SURROUNDINGS * scale, LEAST_SURROUNDINGS) / side
+    power = _around(change**2, wide)
+    believed = 1.0 - _around(_doubt(sums, wide) * variance, wide) / np.where(power > 0, power, np.inf)
     gain = 1.0 + np.where(power > 0, np.clip(believed, 0.0, 1.0), 0.0) * change
     return np.clip(gain, 1.0 / LARGEST_GAIN, LARGEST_GAIN)
+
+
+def _doubt(sums: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:
+    """Return by what to multiply variances, 1 to 2: a mean of squares is as uncertain as its few largest make it."""
+    noise, fourth = (_around(each, width) for each in sums[2:])
+    carrying = 2 * np.pi * width**2 * noise**2 / np.maximum(fourth, np.finfo(np.float64).tiny)
+    return np.asarray(1.0 + np.minimum(1.0, np.sqrt(FEW / np.maximum(carrying, FEW))))
+
+
+def _around(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:
+    """Return the means (rows, cols, 3) of planes over a wide Gaussian window."""
+    step = int(width / STEPS_ACROSS)
+    if step < 2:
+        return _blurred(planes, width)
+    rows, cols = planes.shape[:2]
+    padded = np.pad(planes, ((0, -rows % step), (0, -cols % step), (0, 0)), mode="edge")
+    means = padded.reshape(len(padded) // step, step, padded.shape[1] // step, step, 3).mean(axis=(1, 3))
+    blurred = _blurred(means, width / step)
+    return np.repeat(np.repeat(blurred, step, axis=0), step, axis=1)[:rows, :cols]
 
 
 def _blurred(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float64]:

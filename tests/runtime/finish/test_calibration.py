@@ -51,7 +51,8 @@ def test_gains_are_those_of_least_squares_under_a_gaussian_window():
     rng = np.random.default_rng(1)
     parts = rng.normal(0, 1, (12, 14, 3)) + 3  # far above their noise: all of it is believed
     squares = rng.uniform(5, 9, (12, 14, 3))
-    gain = gain_of(np.stack([parts, squares, np.zeros_like(parts)]), 2.0 * BLOCK)
+    nothing = np.zeros_like(parts)
+    gain = gain_of(np.stack([parts, squares, nothing, nothing]), 2.0 * BLOCK, BLOCK)
     rows, cols = np.indices((12, 14))
 
     def reflected(size, at):  # where the window reaches beyond the border, the image is mirrored
@@ -65,6 +66,25 @@ def test_gains_are_those_of_least_squares_under_a_gaussian_window():
                 window[at] += np.exp(-(dr * dr + dc * dc) / 8.0)
         expected = 1 + (window[..., None] * parts).sum((0, 1)) / (window[..., None] * squares).sum((0, 1))
         assert gain[row, col] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_fine_bias_is_taken_out_where_many_samples_carry_the_noise_and_not_where_few_do():
+    rows, cols = np.indices((SIZE, SIZE))
+    bias = np.float32(1.0 + 0.15 * np.sin(rows / 4.0) * np.sin(cols / 4.0))[..., None]
+    left = {}
+    for few in (False, True):
+        rng = np.random.default_rng(0)
+        truth = texture(rng)
+        samples = noisy(truth, rng, n=4, sigma=0.4)
+        if few:  # as noisy, but by one sample in two hundred
+            rare = rng.random(samples.shape[:3]) < 1 / 200
+            samples[..., :3] = truth[..., :3] * (1.0 + (rare - 1 / 200) * 0.4 / np.sqrt(1 / 200))[..., None]
+        image = truth.copy()
+        image[..., :3] *= bias
+        before = np.abs(image - truth).mean()
+        calibrate(image, list(samples), everything(4))
+        left[few] = np.abs(image - truth).mean() / before
+    assert left[False] < 0.7 and left[True] < 1.0
 
 
 def test_missing_samples_and_dark_images_count_for_nothing():
@@ -82,8 +102,8 @@ def test_missing_samples_and_dark_images_count_for_nothing():
 
 
 def test_a_small_image_is_left_as_it_is():
-    image = np.full((12, 12, 4), 0.5, np.float32)
-    calibrate(image, [np.ones((12, 12, 4), np.float32)], np.ones((12, 12, 1), bool))
+    image = np.full((7, 7, 4), 0.5, np.float32)
+    calibrate(image, [np.ones((7, 7, 4), np.float32)], np.ones((7, 7, 1), bool))
     assert (image == 0.5).all()
 
 
