@@ -144,6 +144,13 @@ DEPTH_CONVENTIONS: Mapping[str, tuple[DepthMap, DepthMap]] = {
 1 over the planar depth, and ``disparity`` the shift in px between the two images of a parallel stereo pair.
 """
 
+POSITION = "position"
+"""Where what is seen is in the world, three channels: from a camera whose place is known, its planar depth."""
+
+POSITION_LAYERS = ("P", "Position", "WorldPosition", "ray:hitP", "hitP")
+POSITION_COMPONENTS = (("X", "Y", "Z"), ("R", "G", "B"))
+"""Names of position passes of Arnold and Houdini, Blender, Redshift, and Karma."""
+
 HALF_STEP = 1e-3
 """Relative step of a half float: a file of halves holds a number only to about this."""
 
@@ -173,6 +180,41 @@ def planar_depth(convention: str, values: FloatArray, scale: Scale) -> FloatArra
         If the convention needs something that `scale` lacks.
     """
     return np.asarray(DEPTH_CONVENTIONS[convention][0](values, scale) * np.float32(scale.depth_scale), np.float32)
+
+
+def channels_depth(convention: str, channels: FloatArray, scale: Scale) -> FloatArray:
+    """Return planar depth in metres of a depth channel, or of the three of positions in the world.
+
+    Parameters
+    ----------
+    convention : str
+        A key of `DEPTH_CONVENTIONS`, or `POSITION`.
+    channels : ndarray of shape (H, W, n), float32
+        In the file's units.
+    scale : Scale
+        As for `planar_depth`; for positions the camera, with its place, and metres per unit.
+
+    Returns
+    -------
+    ndarray of shape (H, W), float32
+        ``inf`` where a position is the origin itself, which stands where nothing was seen.
+
+    Raises
+    ------
+    InvalidParameterError
+        If the convention needs something that `scale` lacks, such as where the camera is.
+    """
+    if convention != POSITION:
+        return planar_depth(convention, channels[..., 0], scale)
+    pose = None if scale.camera is None else scale.camera.pose_at(0.0)
+    if pose is None:
+        raise InvalidParameterError(
+            f"depth from positions needs to know where the camera is: {option('camera')} with camera_to_world"
+        )
+    matrix = np.asarray(pose)
+    away = channels.astype(np.float64) * abs(scale.depth_scale) - matrix[:3, 3]
+    planar = -(away @ matrix[:3, 2])
+    return np.where(channels.any(axis=2), planar, np.inf).astype(np.float32)
 
 
 def stored_depth(convention: str, depth: FloatArray, scale: Scale) -> FloatArray:

@@ -24,10 +24,12 @@ from spreadlets.files.atomic import atomic_path
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
+    POSITION,
     PRESETS,
     Preset,
     Scale,
     background_places,
+    channels_depth,
     check_choice,
     motion_labels,
     planar_depth,
@@ -382,6 +384,8 @@ def _read_deep(part: DeepPart, found: Recognised, raster: Raster, options: ReadO
 def recognise_deep(image: Image, options: ReadOptions) -> Recognised:
     """Return the channels of a deep image, or raise InvalidFileError if it lacks colour or alpha."""
     found = recognise(image, replace(options, view=None))
+    if found.depth.convention == POSITION:
+        raise image.problem("lacks a depth channel", "depth_channel")
     if not found.colour.alpha:
         raise image.problem("lacks alpha, which deep samples need", "alpha_channel")
     return found
@@ -420,7 +424,8 @@ def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
     _warn(image, found)
     try:
         # Find where nothing was seen.
-        stored = _label("depth", found.depth, found.colour.image, raster.data, 1.0)[..., 0]
+        depths = _label("depth", found.depth, found.colour.image, raster.data, 1.0)
+        stored = depths[..., 0]
         nothing = ~covered(found.depth.image, found.depth.channels[0], raster.data)
         if options.background_depth is not None:
             nothing |= background_places(options.background_depth, stored)
@@ -431,7 +436,7 @@ def _read_layer(image: Image, options: ReadOptions, passes: Passes) -> Frame:
         if looks_wrong := depth_warning(os.fspath(found.depth.image.path), found.depth, stored, seen, told):
             warnings.warn(looks_wrong, AmbiguousInputWarning, stacklevel=3)
         # Convert depth and motion to ours.
-        planar = np.where(nothing, BACKGROUND_DEPTH, planar_depth(found.depth.convention, stored, scale))
+        planar = np.where(nothing, BACKGROUND_DEPTH, channels_depth(found.depth.convention, depths, scale))
         labels = {}
         if found.motion is not None:
             channels = _label("motion", found.motion, found.colour.image, raster.data)

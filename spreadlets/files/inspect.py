@@ -12,7 +12,7 @@ import numpy as np
 
 from spreadlets.arrays import BoolArray, FloatArray, PathLike
 from spreadlets.errors import SpreadletsError
-from spreadlets.files.conventions import background_places, planar_depth
+from spreadlets.files.conventions import background_places, channels_depth
 from spreadlets.files.exr_file import ExrFile, Source, is_deep
 from spreadlets.files.exr_frames import deep_header, flat_layers, frame_of, read_passes
 from spreadlets.files.exr_parts import Image, gather
@@ -238,8 +238,8 @@ def _ranges(found: _Pieces, chosen: Sequence[Layer], options: ReadOptions) -> di
 
 def _bad_depths(found: Found, visible: BoolArray, options: ReadOptions) -> dict[str, int]:
     """Return how many visible pixels of a flat layer have no valid depth, and are counted as background if mended."""
-    stored = gather(found.image, found.channels)[..., 0]
-    planar = planar_depth(found.convention, stored, options.scale)
+    channels = gather(found.image, found.channels)
+    stored, planar = channels[..., 0], channels_depth(found.convention, channels, options.scale)
     if options.background_depth is not None:
         planar = np.where(background_places(options.background_depth, stored), BACKGROUND_DEPTH, planar)
     bad = {"not_a_number": np.isnan(planar), "not_positive": planar <= 0}

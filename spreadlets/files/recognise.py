@@ -5,6 +5,7 @@ Labels are looked for beside the colour first: with the same prefix, in the same
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -21,6 +22,9 @@ from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     MOTION_LIKE,
     OWN,
+    POSITION,
+    POSITION_COMPONENTS,
+    POSITION_LAYERS,
     PRESETS,
     UNCLEAR,
     Scale,
@@ -464,7 +468,7 @@ def find_depths_around(image: Image, colour: Colour, depth: Found) -> tuple[Foun
     places = [_rank_of(image, colour, name) for name in AROUND]
     if all(place is not None for place in places):
         names = tuple(name for place in places if place is not None for name in place[1:])
-        return Found(image, names, depth.convention), ""
+        return Found(image, names, "planar" if depth.convention == POSITION else depth.convention), ""
     lone = [place[1] for place in places if place is not None]
     return None, f"{lone[0]} is not used: {' and '.join(AROUND)} come together" if lone else ""
 
@@ -481,6 +485,8 @@ def _found_depth(image: Image, colour: Colour, options: ReadOptions, alone: bool
     ranked = _depth_candidates(image, colour, options)
     # Without any, take the only channel of a pass, or tell what is missing.
     if not ranked:
+        if (positions := _found_positions(image, colour)) is not None:
+            return positions
         if alone:
             return Found(image, (_only_channel(image, "depth_channel"),), options.depth_convention or "planar")
         like = _like(image, DEPTH_LIKE, colour.names)
@@ -530,6 +536,16 @@ def _given_depth(image: Image, colour: Colour, options: ReadOptions) -> Found:
     if options.depth_convention is not None:
         return replace(found, convention=options.depth_convention, doubt="")
     return found
+
+
+def _found_positions(image: Image, colour: Colour) -> Found | None:
+    """Return the position pass that stands nearest the colour, whose depth counts where there is none else."""
+    found = {
+        (_rank(image, colour, prefix, group[0]), number): Found(image, group, POSITION, "", prefix)
+        for number, (layer, names) in enumerate(itertools.product(POSITION_LAYERS, POSITION_COMPONENTS))
+        for prefix, group in _groups(image, [f"{layer}.{name}" for name in names])
+    }
+    return found[min(found)] if found else None
 
 
 def _depth_candidates(

@@ -72,6 +72,30 @@ def test_three_channels_of_blenders_vector_are_the_way_from_the_frame_before(pat
     assert tuple(frame.motion[0, 0]) == (3, 2)
 
 
+@pytest.mark.parametrize("names", ["P.X P.Y P.Z", "ViewLayer.Position.X ViewLayer.Position.Y ViewLayer.Position.Z"])
+def test_positions_in_the_world_are_a_depth_where_the_camera_is_known(path, names):
+    rows, cols = np.indices(SHAPE)
+    depth = 2.0 + 0.1 * rows + 0.2 * cols
+    pose = np.array([[0.0, 0.0, 1.0, 5.0], [0.0, 1.0, 0.0, 1.0], [-1.0, 0.0, 0.0, -3.0], [0.0, 0.0, 0.0, 1.0]])
+    seen = np.stack([0.1 * cols * depth, -0.1 * rows * depth, -depth, np.ones(SHAPE)], axis=-1)
+    world = 100.0 * (seen @ pose.T)[..., :3]
+    world[2, 3] = 0.0
+    prefix = names.split("P")[0]
+    given = colours(f"{prefix}Combined." if prefix else "") | {
+        name: world[..., axis] for axis, name in enumerate(names.split())
+    }
+    camera = sp.ThinLens(50, 36, 2, 3, camera_to_world=pose)
+    frame = sp.read_frame(write(path, given), camera=camera, depth_scale=0.01)
+    depth[2, 3] = np.inf
+    np.testing.assert_allclose(frame.depth, depth, rtol=1e-5)
+    with pytest.raises(InvalidParameterError, match="needs to know where the camera is.*camera_to_world"):
+        sp.read_frame(path, camera=sp.ThinLens(50, 36, 2, 3))
+    # A depth channel comes first.
+    assert (
+        sp.read_frame(write(path, given | {f"{prefix}Z" if not prefix else "ViewLayer.Depth.Z": 4.0})).depth[0, 0] == 4
+    )
+
+
 @pytest.mark.parametrize("names", ["motion.x motion.y motion.z", "velX velY velZ", "motion.u motion.v motion.w"])
 def test_a_third_component_of_motion_that_is_not_used_is_named(path, names):
     first, second, third = names.split()
