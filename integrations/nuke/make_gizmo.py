@@ -7,13 +7,9 @@ Its knobs are the options of ``spreadlets synth``, under the headings and with t
 
 from pathlib import Path
 
-import click
-
-from spreadlets.cli.render import synth
+from knobs import Knob, tabs
 
 GIZMO = Path(__file__).with_name("Spreadlets.gizmo")
-GROUPS = ("Camera", "Look", "Bokeh", "Method", "Effects", "Quality and speed", "Reading the frame")
-"""Headings of options that become tabs; those that begin so."""
 TEXT, CHOICE, CHECK, BUTTON, TAB = 1, 4, 6, 22, 20
 """Kinds of knobs, by Nuke's numbers."""
 BLUR = "import nuke, spreadlets_host; spreadlets_host.blur(nuke.thisNode(), {})"
@@ -43,18 +39,14 @@ push $cut_paste_input
 """
 
 
-def knob(parameter: click.Parameter) -> list[str]:
-    """Return the lines of an option's knob."""
-    assert isinstance(parameter, click.Option)
-    option = parameter.opts[-1].removeprefix("--")
-    name, label = "o_" + option.replace("-", "_"), option.replace("-", " ")
-    tip = quoted(parameter.help or "")
-    if parameter.is_flag:
-        return [f" addUserKnob {{{CHECK} {name} l {quoted(label)} t {tip} +STARTLINE}}"]
-    if isinstance(parameter.type, click.Choice):
-        choices = " ".join(["default", *parameter.type.choices])
-        return [f" addUserKnob {{{CHOICE} {name} l {quoted(label)} t {tip} M {{{choices}}}}}"]
-    return [f" addUserKnob {{{TEXT} {name} l {quoted(label)} t {tip}}}"]
+def line(knob: Knob) -> str:
+    """Return the line of a knob."""
+    label, tip = quoted(knob.label), quoted(knob.help)
+    if knob.is_flag:
+        return f" addUserKnob {{{CHECK} {knob.name} l {label} t {tip} +STARTLINE}}"
+    if knob.choices:
+        return f" addUserKnob {{{CHOICE} {knob.name} l {label} t {tip} M {{{' '.join(knob.choices)}}}}}"
+    return f" addUserKnob {{{TEXT} {knob.name} l {label} t {tip}}}"
 
 
 def quoted(text: str) -> str:
@@ -79,11 +71,9 @@ def gizmo() -> str:
         f" addUserKnob {{{BUTTON} blur_range l {quoted('Blur range')} T {quoted(BLUR.format(RANGE))}}}",
         f" addUserKnob {{{TEXT} more l {quoted('More options')}}}",
     ]
-    for group in synth.option_groups:
-        heading = next((name for name in GROUPS if group.title.startswith(name)), None)
-        if heading:
-            lines.append(f" addUserKnob {{{TAB} {heading.split()[0].lower()} l {quoted(heading)}}}")
-            lines += [line for parameter in group.options for line in knob(parameter)]
+    for name, heading, knobs in tabs():
+        lines.append(f" addUserKnob {{{TAB} {name} l {quoted(heading)}}}")
+        lines += map(line, knobs)
     lines += [" o_preset nuke", "}", NODES.rstrip()]
     lines += [
         " Switch {",

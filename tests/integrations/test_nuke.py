@@ -14,6 +14,13 @@ from spreadlets.cli.render import synth
 FOLDER = Path(__file__).resolve().parents[2] / "integrations" / "nuke"
 
 
+@pytest.fixture(autouse=True)
+def folder_of_the_gizmo(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    yield
+    sys.modules.pop("knobs", None)
+
+
 def load(name):
     spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
