@@ -1,6 +1,7 @@
 """The import rules: data flows one way, and only `spreadlets` is imported."""
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -134,6 +135,24 @@ def test_a_usual_run_loads_only_what_it_needs():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
+
+
+def test_who_only_hands_frames_out_loads_no_kernels(tmp_path):
+    for name in ("a.0001.exr", "b.0001.exr"):
+        (tmp_path / name).touch()
+    arguments = "synth", "a.####.exr", "-o", "b.####.exr", "--jobs", "2", "--focal-length", "50", "--json"
+    code = (
+        "import sys; from spreadlets.cli.main import main\n"
+        f"sys.argv = ['spreadlets', *{arguments}]\n"
+        "try: main()\n"
+        "finally: print([name for name in ('numba', 'spreadlets.runtime.render') if name in sys.modules])"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    report, loaded = told.stdout.splitlines()
+    assert json.loads(report)["skipped"] == 1 and loaded == "[]"
 
 
 def test_an_aperture_that_was_built_before_is_found_without_what_builds_them(tmp_path):

@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -92,7 +93,6 @@ def synth(
 
     Example: spreadlets synth frame.####.exr -o out.####.exr --camera camera.json --frames 1-24
     """
-    from spreadlets.ahead import compiled_ahead
     from spreadlets.files.sequence import is_pattern
     from spreadlets.jobs.synthesis import Synthesis
     from spreadlets.runtime.options import RENDER_OPTIONS
@@ -120,8 +120,17 @@ def synth(
         output_coc,
         tuple((path, reading) for path in hidden_from),
     )
-    with compiled_ahead("synthesize"):
+    with _compiling("synthesize", sequence):
         _run(job, sequence, as_json)
+
+
+def _compiling(run: str, sequence: Mapping[str, Any]) -> AbstractContextManager[None]:
+    """Let other processors help with compiling, if this process makes the frames; if not, it loads no kernels."""
+    if sequence.get("jobs", 1) > 1 or sequence.get("scheduler"):
+        return nullcontext()
+    from spreadlets.ahead import compiled_ahead
+
+    return compiled_ahead(run)
 
 
 def _run(job: Job, sequence: dict[str, Any], as_json: bool) -> None:
@@ -232,7 +241,6 @@ def reconstruct(
 
     Example: spreadlets reconstruct samples.exr -o out.exr --camera camera.json --spp 1
     """
-    from spreadlets.ahead import compiled_ahead
     from spreadlets.jobs.reconstruction import Reconstruction
 
     sequence, lens, database = take_sequence(options), take_camera(options), options.pop("database")
@@ -240,7 +248,7 @@ def reconstruct(
     job = Reconstruction(
         (samples,), output, camera, lens, reference, database, bit_depth, options, settings, spp, repair
     )
-    with compiled_ahead("reconstruct"):
+    with _compiling("reconstruct", sequence):
         _run(job, sequence, as_json)
 
 
