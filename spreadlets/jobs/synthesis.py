@@ -86,7 +86,8 @@ class Synthesis(Job):
     @property
     def reads(self) -> list[str]:
         """Files that may be read."""
-        return [*super().reads, *(path for path, _ in self.hidden_from)]
+        around = [path for path, _ in self.hidden_from] + [path for _, path in self.cameras_around]
+        return [*super().reads, *around]
 
     @property
     def writes(self) -> list[str]:
