@@ -14,6 +14,7 @@ from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
+from spreadlets.runtime.buffers import buffer, kept_buffers
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, Visibility
@@ -43,7 +44,8 @@ from spreadlets.scene.raster import Raster
 from spreadlets.scene.samples import SampleBuffer
 from spreadlets.scene.squares import squared, unsquared
 
-Solver = Callable[[Image], Image]
+Solver = Callable[[Image, Image], Image]
+"""Makes an image of what was splatted, in some room for it."""
 
 SOLVER_MARGIN = 8
 """Extra border, px, of the Poisson solve: the field of a fitted spreadlet has died off that far from its PSF."""
@@ -307,7 +309,7 @@ def _solver(options: Options) -> Solver:
     """Return what makes images from what is splatted."""
     if options.method == "dense-rows":
         return sum_rows
-    return partial(integrate, method=options.integrator, cycles=options.cycles)
+    return lambda laplacian, room: integrate(laplacian, options.integrator, cycles=options.cycles, out=room)
 
 
 def _finished(
@@ -355,6 +357,7 @@ def _clamped_samples(pixel_sets: list[Pixels], factor: float) -> tuple[list[Pixe
     return [each._replace(radiance=colour) for each, colour in zip(pixel_sets, colours, strict=True)], count
 
 
+@kept_buffers()
 def _add_plan(
     image: Image, plan: Plan, visibility: Visibility | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
 ) -> None:
@@ -406,7 +409,8 @@ def _splat_layer(
         if len(drawn) == 1 and drawn[0][1] == 1 and union([shown, drawn[0][0]]) == drawn[0][0]:
             shown, _, padded = drawn[0]
         else:
-            padded = np.zeros((shown.rows, shown.cols, 4), np.float32)
+            padded = buffer("canvas", (shown.rows, shown.cols, 4))
+            padded[:] = 0.0
             for canvas, step, image in drawn:
                 add_to_canvas(padded, shown, image, canvas, step)
     with clock.step("splat"):
@@ -423,7 +427,7 @@ def _integrated(
     with clock.step("splat"):
         laplacian = splat_laplacian(canvas, sources, GROUPS * number + group, plan.table, STRIDES[group])
     with clock.step("integrate"):
-        return solver(laplacian)
+        return solver(laplacian, buffer(("image", group), laplacian.shape))
 
 
 def _filtered(

@@ -6,6 +6,7 @@ import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
 
@@ -66,11 +67,11 @@ def add_layer(
         for_bands(_fill_kernels.add_layer, len(image), image, *sums)
         return
     odds = [_odd(corner, 0)]
-    levels = [_half_size(image, odds[0])]
+    levels = [_half_size(image, odds[0], 0)]
     for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, odds[0], levels[0])
     while max(levels[-1].shape[:2]) > 1:
         odds.append(_odd(corner, len(levels)))
-        levels.append(_half_size(levels[-1], odds[-1]))
+        levels.append(_half_size(levels[-1], odds[-1], len(levels)))
         for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], odds[-1], levels[-1])
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
@@ -85,10 +86,10 @@ def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:
     return row, column
 
 
-def _half_size(image: Image, odd: tuple[int, int]) -> Image:
-    """Return room for sums and their measure over 2 x 2 pixels of an image."""
+def _half_size(image: Image, odd: tuple[int, int], level: int) -> Image:
+    """Return room, for a level of the pyramid, for sums and their measure over 2 x 2 pixels of an image."""
     height, width = (size + first for size, first in zip(image.shape[:2], odd, strict=True))
-    return np.empty(((height + 1) // 2, (width + 1) // 2, 5), np.float32)
+    return buffer(("fill", level), ((height + 1) // 2, (width + 1) // 2, 5))
 
 
 def is_opaque(radiance: Image) -> bool:

@@ -33,6 +33,7 @@ from spreadlets.arrays import Image
 from spreadlets.errors import InvalidParameterError
 from spreadlets.parallel import for_blocks, limit_threads, thread_count
 from spreadlets.psf.laplacian import solve_dirichlet
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.integrate import _pyramid_kernels as kernels
 from spreadlets.runtime.options import DEFAULT_CYCLES, DEFAULT_INTEGRATOR, INTEGRATORS
 
@@ -447,7 +448,9 @@ class _LevelSolver:
         # Allocate source and answer of each coarser level.
         self.shapes = _level_shapes(height, width)
         flat = [(rows, cols * n_channels) for rows, cols in self.shapes]
-        self.sources, self.answers = ([np.empty(shape, np.float32) for shape in flat[1:]] for _ in range(2))
+        self.sources, self.answers = (
+            [buffer((name, level), shape) for level, shape in enumerate(flat[1:])] for name in ("sources", "answers")
+        )
         self.images: list[Rows] = []
         self.nothing = np.empty((0, 0), np.float32)
         # Allocate what rows and bands report: sums and largest magnitudes.
@@ -463,10 +466,9 @@ class _LevelSolver:
         # Allocate the scratch rows of each thread, with the overlap of neighbouring blocks.
         most_steps = max(len(weights) for weights in self.weights)
         overlap = 2 * (most_steps + kernels.INTERPOLATION_REACH) + 8
-        self.relax_scratch = np.empty(
-            (threads, 8 + 3 * most_steps, (kernels.BLOCK_PIXELS + overlap) * n_channels), np.float32
-        )
-        self.coarsen_scratch = np.empty((threads, 12, flat[0][1] + 4 * n_channels), np.float32)
+        block = (kernels.BLOCK_PIXELS + overlap) * n_channels
+        self.relax_scratch = buffer("relax", (threads, 8 + 3 * most_steps, block))
+        self.coarsen_scratch = buffer("coarsen", (threads, 12, flat[0][1] + 4 * n_channels))
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         rows, out_rows = _rows(source), _rows(out)
@@ -500,7 +502,9 @@ class _LevelSolver:
         """One of two images on the whole padded domain; only the cycles need them."""
         if len(self.images) <= index:
             height, width = self.shapes[0]
-            self.images.append(np.empty((height, width * self.key[1][2]), np.float32))
+            self.images.append(
+                buffer("canvas" if not self.images else "second canvas", (height, width * self.key[1][2]))
+            )
         return self.images[index]
 
     def _bands(self, level: int) -> slice:

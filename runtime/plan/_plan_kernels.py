@@ -277,6 +277,18 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
 
 
 @kernel
+def sum_light(begin, end, radiance, total):
+    """Fill ``total`` (H,), float64, with the sums over rows of the colours of pixels (H, W, 4), without alpha."""
+    for row in range(begin, end):
+        red = green = blue = 0.0
+        for col in range(radiance.shape[1]):
+            red += radiance[row, col, 0]
+            green += radiance[row, col, 1]
+            blue += radiance[row, col, 2]
+        total[row] = red + green + blue
+
+
+@kernel
 def mark_keys(begin, end, key, lowest, place):
     """Set ``place`` (n_keys,), int32, to 0 for each key in use, counted from the lowest."""
     # Threads may write the same place, but nothing else than 0.

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
+from spreadlets.parallel import for_blocks
 from spreadlets.runtime.label.labels import EVERYWHERE, Labels
 from spreadlets.runtime.plan import _cut_kernels
 
@@ -68,21 +69,25 @@ def find_steps(
     lists : sequence of (labels, variant)
         Of lists of pixels, which meet the first frame's.
     """
-    sums, meetings, seams = np.zeros((2, n_steps)), np.zeros((2, n_steps, n_steps)), np.zeros(n_steps + 1)
+    shapes = (2, n_steps), (2, n_steps, n_steps), (n_steps + 1,)
+    blocks = [np.zeros((_cut_kernels.COUNTING_BLOCKS, *shape)) for shape in shapes]
     # Thin the rows of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
-    steps, counted = (low, n_steps / (high - low)), (sums, meetings, seams)
+    steps = low, n_steps / (high - low)
     # Count which steps meet along a row, and which borders part neighbours.
     positions = [np.empty((-(-len(variant) // stride), variant.shape[1], 3)) for _, variant in frames]
     for (labels, variant), position in zip(frames, positions, strict=True):
-        _cut_kernels.count_steps(_planes(labels, variant), EVERYWHERE, stride, steps, position, *counted)
+        given = _planes(labels, variant), EVERYWHERE, stride, steps, position
+        for_blocks(_cut_kernels.count_steps, _cut_kernels.COUNTING_BLOCKS, *given, *blocks)
+    sums, meetings, seams = (each.sum(axis=0) for each in blocks)
     # Count which steps meet between the passes.
     for first, second in combinations(positions, 2):
         _add_meetings(first, second, meetings)
     # Count which steps of a list meet those of the frame at the same pixel.
     for labels, variant in lists:
         assert labels.view.places is not None, "only lists have places"
-        _cut_kernels.count_steps(_planes(labels, variant), labels.view.places.at, stride, steps, positions[0], *counted)
+        given = _planes(labels, variant), labels.view.places.at, stride, steps, positions[0]
+        _cut_kernels.count_steps(0, 1, *given, sums[None], meetings[None], seams[None])
     n_pairs = max(len(_cut_kernels.DISTANCES) * sums[0].sum(), 1.0)
     coc, apart = sums[1] / np.maximum(sums[0], 1.0), meetings[1] / np.maximum(meetings[0], 1.0)
     return Steps(sums[0] > 0, meetings[0] / n_pairs, seams / n_pairs, coc, apart)

@@ -308,15 +308,14 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -
 
 def _numbered(codes: Sequence[IntArray]) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
     """Return the codes in use, ascending, and the number of each pixel's code among them, -1 if it has none."""
-    starts = [np.flatnonzero(np.diff(code.ravel(), prepend=NOT_ALONE - 1)) for code in codes]
-    firsts = [code.ravel()[start] for code, start in zip(codes, starts, strict=True)]
-    used = np.unique(np.concatenate(firsts))
-    used = used[used != NOT_ALONE]
+    places = [np.flatnonzero(code != NOT_ALONE) for code in codes]
+    found = [code.ravel()[at] for code, at in zip(codes, places, strict=True)]
+    used, index = np.unique(np.concatenate(found), return_inverse=True)
     numbers = []
-    for code, start, first in zip(codes, starts, firsts, strict=True):
-        # Neighbours along a row share their code: look up each run once.
-        number = np.where(first == NOT_ALONE, -1, np.searchsorted(used, first)).astype(np.int32)
-        numbers.append(np.repeat(number, np.diff(start, append=code.size)).reshape(code.shape))
+    for code, at in zip(codes, places, strict=True):
+        number = np.full(code.shape, -1, np.int32)
+        number.ravel()[at], index = index[: len(at)], index[len(at) :]
+        numbers.append(number)
     return used, numbers
 
 

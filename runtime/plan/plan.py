@@ -389,7 +389,11 @@ def _bright(pixels: Pixels) -> float:
 
 
 # Sets often share their colours.
-_mean_radiance = Remembered(lambda colours: float(colours[..., :3].mean(dtype=np.float64)))
+@Remembered
+def _mean_radiance(colours: npt.NDArray[np.float32]) -> float:
+    total = np.empty(len(colours))
+    for_bands(_plan_kernels.sum_light, len(total), colours, total)
+    return float(total.sum() / (3 * total.size * colours.shape[1]))
 
 
 class _Given(NamedTuple):

@@ -500,12 +500,12 @@ def gather_runs(begin, end, image, radiance, runs, point_offset, value, point_st
 
 
 @kernel
-def sum_rows(begin, end, image):
-    """Replace an image (rows, cols, 4), float32, by its running sums along rows, in place."""
+def sum_rows(begin, end, image, sums):
+    """Fill ``sums`` with the running sums along rows of an image, both (rows, cols, 4), float32."""
     total = np.empty(4, np.float64)
     for row in range(begin, end):
         total[:] = 0.0
         for col in range(image.shape[1]):
             for c in range(4):
                 total[c] += image[row, col, c]
-                image[row, col, c] = total[c]
+                sums[row, col, c] = total[c]

@@ -87,7 +87,8 @@ class PointTable:
         """The largest distance, in rows or columns, from a splat's centre to a point of each variant, px."""
         if not len(self.direct):
             return np.zeros(0, np.int64)
-        return np.maximum.reduceat(np.abs(self.offset_rc).max(axis=1), self.point_start[:-1]).astype(np.int64)
+        farthest = np.maximum(*np.abs(self.offset_rc).T)
+        return np.maximum.reduceat(farthest, self.point_start[:-1]).astype(np.int64)
 
     @cached_property
     def lanes(self) -> Image:

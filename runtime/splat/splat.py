@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import get_ident
 
 import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.splat import _resample_kernels, _splat_kernels
 from spreadlets.runtime.splat._splat_kernels import Level, Window
 from spreadlets.runtime.splat.passes import STRIDES, Canvas, PointTable, Runs
@@ -43,13 +45,13 @@ def splat_laplacian(
     flat = [each for levels in passes for each in levels if len(each.of(group))]
     drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
-    offsets = np.empty((len(STRIDES), len(table.offset_rc)), np.int64)
+    offsets = buffer("offsets", (len(STRIDES), len(table.offset_rc)), np.int64)
     for_bands(_splat_kernels.point_offsets, len(table.offset_rc), table.offset_rc, canvas.cols, offsets)
     window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches.max(initial=0)))
-    image = np.empty((canvas.rows // step, pitch // step), np.float32)
+    image = buffer("laplacian", (canvas.rows // step, pitch // step))
 
     def draw(begin: int, end: int) -> None:
-        scratch = np.empty((3, BAND_ROWS + step + 3, pitch), np.float32)
+        scratch = buffer(("scratch", get_ident()), (3, BAND_ROWS + step + 3, pitch))
         points = offsets, table.rows, table.lanes
         _splat_kernels.splat_levels(begin, end, image, drawn, *points, window, step, BAND_ROWS, scratch)
 
@@ -77,10 +79,10 @@ def splat_direct(image: Image, canvas: Canvas, source: Runs, group: int, table: 
     for_bands(_splat_kernels.splat_spans, -(-canvas.rows // BAND_ROWS), *drawn)
 
 
-def sum_rows(image: Image) -> Image:
-    """Replace an image by its running sums along rows, in place, and return it: differences along rows integrated."""
-    for_bands(_splat_kernels.sum_rows, len(image), image)
-    return image
+def sum_rows(image: Image, sums: Image) -> Image:
+    """Fill ``sums`` with an image's running sums along rows, and return it: differences along rows integrated."""
+    for_bands(_splat_kernels.sum_rows, len(image), image, sums)
+    return sums
 
 
 def _level(source: Runs, group: int, canvas: Canvas) -> Level:
