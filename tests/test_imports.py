@@ -16,7 +16,15 @@ FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
     {"errors", "arrays", "version"},
-    {"compiled", "parallel", "packages", "remembered", "runtime.controls", "runtime._vector_kernels"},
+    {
+        "compiled",
+        "parallel",
+        "packages",
+        "remembered",
+        "runtime.buffers",
+        "runtime.controls",
+        "runtime._vector_kernels",
+    },
     {"workers", "serve", "runtime._box_kernels"},
     {"scene", "runtime.options", "runtime.box_blur"},
     {"metrics", "models", "psf"},

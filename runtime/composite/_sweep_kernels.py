@@ -72,14 +72,20 @@ def sum_spans(begin, end, sums, first, last, mean):
 def shrink(begin, end, image, factor, small):
     """Fill ``small`` with the means of blocks of ``factor`` x ``factor`` pixels."""
     height, width = image.shape
+    column = np.empty(width)
     for row in range(begin, end):
+        # Sum along the columns, then along the row.
+        first, last = row * factor, min((row + 1) * factor, height)
+        column[:] = 0.0
+        for i in range(first, last):
+            line = image[i]
+            for j in range(width):
+                column[j] += line[j]
         for col in range(small.shape[1]):
-            total, count = 0.0, 0
-            for i in range(row * factor, min((row + 1) * factor, height)):
-                for j in range(col * factor, min((col + 1) * factor, width)):
-                    total += image[i, j]
-                    count += 1
-            small[row, col] = total / count
+            total, end_col = 0.0, min((col + 1) * factor, width)
+            for j in range(col * factor, end_col):
+                total += column[j]
+            small[row, col] = total / ((last - first) * (end_col - col * factor))
 
 
 @kernel

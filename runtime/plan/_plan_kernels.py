@@ -222,6 +222,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
                         across, down = np.float64(shift[row, col, 0]), np.float64(shift[row, col, 1])
                     key[row, col] = FIRST_STREAK - streak_code(np.float64(x), np.float64(y), across, down)
                     continue
+            # All others have a cell; what is beyond its range is scaled.
             step, shrink = 0, 1.0
             if factor > 1.0:
                 step = _scale_step(factor, steps_per_octave, n_steps)
