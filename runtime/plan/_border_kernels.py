@@ -73,11 +73,11 @@ def border_colours(strip, half, colour):
 @helper
 def colour_beyond(colours, down, right, row, col):
     """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
-    if down < row:
-        return colours.above[col]
-    if down > row:
-        return colours.below[col]
-    return colours.left[row] if right < col else colours.right[row]
+    if down != row:
+        side, place = colours.above if down < row else colours.below, col
+    else:
+        side, place = colours.left if right < col else colours.right, row
+    return side[place, 0], side[place, 1], side[place, 2], side[place, 3]
 
 
 @kernel

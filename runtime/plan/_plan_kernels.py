@@ -265,6 +265,7 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
             extent, factor = _extent(one, other, first, second)
             if extent < WIDE_EXTENT:
                 continue
+            # Find the pixel's block, and the cell that it takes of those about the coordinate.
             down, across = row, col
             if len(at):
                 down, across = np.int64(at[row, col, 0]), np.int64(at[row, col, 1])

@@ -78,31 +78,6 @@ def place_steps(begin, end, shift, label, wide, steps):
                 steps[row, col, axis] = np.int32(step)
 
 
-@helper(inline="always")
-def _list_splat(pixels, i, j, colour, down, across, shape, reach, first_row, at, splats):
-    """Count the splats of one pixel at a place, or list them: up to four, if its centre lies between pixels."""
-    height, width = shape
-    index = pixels.label[i, j]
-    far = reach[index % len(reach)]
-    step_y, step_x = np.int64(pixels.steps[i, j, 0]), np.int64(pixels.steps[i, j, 1])
-    # Shifts and masks take the floor of negative steps, too.
-    part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
-    first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
-    for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
-        for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
-            place = at[y - first_row]
-            at[y - first_row] = place + 1
-            if len(splats.label):
-                share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
-                    STEPS_PER_PIXEL - part_x if x == first_x else part_x
-                )
-                part = pixels.weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
-                splats.label[place] = index
-                splats.col[place] = x
-                for c in range(4):
-                    splats.radiance[place, c] = part * colour[c]
-
-
 @kernel
 def list_splats(begin, end, pixels, shape, colours, padding, reach, first_row, at, splats):
     """Count the splats of labelled pixels in each row of the image, or list them.
@@ -127,28 +102,48 @@ def list_splats(begin, end, pixels, shape, colours, padding, reach, first_row, a
     splats : Splats
         Filled, or empty just to count.
     """
-    n_rows, n_cols = pixels.label.shape
-    height, width = shape
-    n_chunks = len(at)
+    radiance, weight, label, steps, places = pixels
+    listed_label, listed_col, listed_radiance = splats
+    (n_rows, n_cols), (height, width), n_chunks = label.shape, shape, len(at)
     for chunk in range(begin, end):
         for i in range(chunk * n_rows // n_chunks, (chunk + 1) * n_rows // n_chunks):
             for j in range(n_cols):
-                if pixels.label[i, j] < 0 or pixels.weight[i, j] == 0:
+                index = label[i, j]
+                if index < 0 or weight[i, j] == 0:
                     continue
                 row, col = i, j
-                if len(pixels.at):
-                    row, col = np.int64(pixels.at[i, j, 0]), np.int64(pixels.at[i, j, 1])
+                if len(places):
+                    row, col = np.int64(places[i, j, 0]), np.int64(places[i, j, 1])
+                # Shifts and masks take the floor of negative steps, too.
+                step_y, step_x, far = np.int64(steps[i, j, 0]), np.int64(steps[i, j, 1]), reach[index % len(reach)]
+                part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
                 # What lies on the border is drawn again beyond it, as far as it was found to reach back.
                 top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
                 bottom = row + (padding.below if row == height - 1 else 0)
                 right = col + (padding.right if col == width - 1 else 0)
                 for down in range(top, bottom + 1):
                     for across in range(left, right + 1):
-                        colour = pixels.radiance[i, j]
+                        red, green = radiance[i, j, 0], radiance[i, j, 1]
+                        blue, alpha = radiance[i, j, 2], radiance[i, j, 3]
                         if down != row or across != col:
-                            colour = colour_beyond(colours, down, across, row, col)
-                        if colour[0] != 0 or colour[1] != 0 or colour[2] != 0 or colour[3] != 0:
-                            _list_splat(pixels, i, j, colour, down, across, shape, reach, first_row, at[chunk], splats)
+                            red, green, blue, alpha = colour_beyond(colours, down, across, row, col)
+                        if red == 0 and green == 0 and blue == 0 and alpha == 0:
+                            continue
+                        # Share it between the pixels around its centre.
+                        first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
+                        for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
+                            for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
+                                place = at[chunk, y - first_row]
+                                at[chunk, y - first_row] = place + 1
+                                if not len(listed_label):
+                                    continue
+                                share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
+                                    STEPS_PER_PIXEL - part_x if x == first_x else part_x
+                                )
+                                part = weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
+                                listed_label[place], listed_col[place] = index, x
+                                listed_radiance[place, 0], listed_radiance[place, 1] = part * red, part * green
+                                listed_radiance[place, 2], listed_radiance[place, 3] = part * blue, part * alpha
 
 
 @helper
@@ -213,16 +208,18 @@ def add_up(begin, end, splats, order, row_start, place_start, first, pooled):
     pooled : Pooled
         Filled.
     """
-    label, col = splats.label, splats.col
+    label, col, radiance = splats
+    sums, sum_label, shift = pooled
     for row in range(begin, end):
         place = place_start[row] - 1
         for k in range(row_start[row], row_start[row + 1]):
             i, j = order[k], order[k - 1]
             if k == row_start[row] or label[i] != label[j] or col[i] != col[j]:
                 place += 1
-                pooled.label[place] = label[i]
-                pooled.shift[place, 0] = first[0] + row
-                pooled.shift[place, 1] = first[1] + col[i] - place
-                pooled.radiance[place] = np.float32(0.0)
+                sum_label[place] = label[i]
+                shift[place, 0] = first[0] + row
+                shift[place, 1] = first[1] + col[i] - place
+                for c in range(4):
+                    sums[place, c] = np.float32(0.0)
             for c in range(4):
-                pooled.radiance[place, c] += splats.radiance[i, c]
+                sums[place, c] += radiance[i, c]
