@@ -21,6 +21,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool, ShutdownEx
 from threadpoolctl import threadpool_limits
 
 from spreadlets.errors import StoppedError, WorkerLostError
+from spreadlets.garbage import collect_rarely
 from spreadlets.packages import optional_package
 from spreadlets.version import __version__
 
@@ -191,6 +192,7 @@ class _Lane:
 def _run_here(parent: int, jobs: int, function: Callable[[Task], Result], task: Task) -> Result | Exception:
     """Compute a task with this process's share of the threads; a process whose parent is gone ends itself."""
     if not any(thread.name == _leave_with.__name__ for thread in threading.enumerate()):
+        collect_rarely()
         threading.Thread(target=_leave_with, args=(parent,), name=_leave_with.__name__, daemon=True).start()
     with _threads(jobs):
         return _result_of(function, task)

@@ -18,6 +18,7 @@ ORDER = (
     {"errors", "arrays", "version"},
     {
         "compiled",
+        "garbage",
         "parallel",
         "packages",
         "remembered",

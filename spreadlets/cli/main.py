@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import sys
 import warnings
@@ -13,11 +12,8 @@ import cloup
 
 from spreadlets.cli import databases, photo, render, reports, serve, setup, view
 from spreadlets.cli.run import run
+from spreadlets.garbage import collect_rarely
 from spreadlets.version import __version__
-
-ALLOCATIONS_BETWEEN_COLLECTIONS = 100_000
-"""What a command imports and makes is hardly ever garbage: looking for it as often as Python does takes a tenth of a
-short command's time."""
 
 
 @cloup.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -51,7 +47,7 @@ class _Notices(logging.Handler):
 
 def main() -> None:
     """Run the command line; warnings and notices become lines on standard error."""
-    gc.set_threshold(ALLOCATIONS_BETWEEN_COLLECTIONS)
+    collect_rarely()
     # Warnings and notices become lines on standard error.
     warnings.showwarning = _show_warning
     logging.basicConfig(handlers=[_Notices()], level=logging.WARNING)
