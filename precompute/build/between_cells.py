@@ -15,8 +15,9 @@ from spreadlets.arrays import DoubleArray
 from spreadlets.metrics import psf_similarity
 from spreadlets.parallel import for_each
 from spreadlets.precompute.models.registry import exact_psf, trace_psf
+from spreadlets.psf.capsule import thin_capsules
 from spreadlets.psf.exact import rounded
-from spreadlets.psf.model import PsfGrid
+from spreadlets.psf.model import COC_FLOOR_PX, PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet
 
 N_COORDINATES = 1000
@@ -63,6 +64,10 @@ def between_cells(grid: PsfGrid, find: FindSpreadlet, rays: int | None = None) -
     places = random_places(grid, N_COORDINATES if exact else N_TRACED)
     truth = _exact_psfs(grid, places, rays)
     dim = [_of_cell(grid, find, *place) for place in zip(*places, strict=True)]
+    # What is drawn in closed form has no cell.
+    thin = np.flatnonzero(places.coordinate[:, 0] <= grid.model.closed_radius)
+    for place, psf in zip(thin, thin_capsules(places.coordinate[thin], places.angle[thin]), strict=True):
+        dim[place] = psf
     highlight = list(exact(*rounded(*places, grid.model))) if exact else dim
     large = places.coordinate[:, 0] >= (LARGE_COC_PX if exact else 0.0)
     return {
@@ -73,9 +78,13 @@ def between_cells(grid: PsfGrid, find: FindSpreadlet, rays: int | None = None) -
 
 
 def random_places(grid: PsfGrid, count: int) -> Places:
-    """Return random coordinates, evenly spread over the remapped axes, with random directions and sides."""
+    """Return random coordinates, evenly spread over the remapped axes, with random directions and sides.
+
+    A CoC is at least `spreadlets.psf.model.COC_FLOOR_PX`, also where cells begin above it.
+    """
     rng = np.random.default_rng(SEED)
-    fraction = grid.first + (1.0 - grid.first) * rng.random((count, grid.model.n_axes))
+    first = (np.minimum([axis.floor for axis in grid.model.axes], COC_FLOOR_PX) / grid.maximum) ** (1.0 / grid.power)
+    fraction = first + (1.0 - first) * rng.random((count, grid.model.n_axes))
     angle = rng.uniform(-np.pi, np.pi, count) if grid.model.has_direction else np.zeros(count)
     side = np.where(rng.random(count) < 0.5, -1, 1).astype(np.int64)
     if grid.model.symmetry.sign == "ignored":

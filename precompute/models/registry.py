@@ -16,11 +16,11 @@ import numpy.typing as npt
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.models import aperture, combined, physicallens, simplelens, stylized, volume
-from spreadlets.precompute.models.capsule import exact_capsules
 from spreadlets.precompute.models.exact_cache import CachedPsfs
 from spreadlets.precompute.models.lens_mesh import lens_psf
 from spreadlets.precompute.trace.light_tracing import crop, draw_segments, footprint
 from spreadlets.precompute.trace.line_sample import Painter, Tracer
+from spreadlets.psf.capsule import exact_capsules
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfModel
 

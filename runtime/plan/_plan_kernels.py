@@ -8,14 +8,15 @@ import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray
 from spreadlets.compiled import helper, kernel
+from spreadlets.psf._capsule_kernels import thin_code
 from spreadlets.psf._grid_kernels import fold_pose, grid_coordinate
-from spreadlets.runtime.plan._streak_kernels import disc_code, streak_code
+from spreadlets.runtime.plan._streak_kernels import streak_code
 
 INVISIBLE = -1
 SHARP = 0
 """Keys of pixels that contribute nothing, and of those whose PSF stays within the pixel."""
 FIRST_STREAK = -2
-"""Keys of streaks and small discs, see `runtime.plan.streaks`, go down from here with their codes."""
+"""Keys of streaks and thin capsules, see `runtime.plan.streaks`, go down from here with their codes."""
 STILL = 0.25
 """What moves so little adds to the extent of a PSF, px, that it is drawn as if it stood still."""
 WIDE_EXTENT = 8.0
@@ -68,8 +69,8 @@ class Sizes(NamedTuple):
         The extent, px, up to which the key is `SHARP`; and the radius up to which what moves leaves a streak.
     longest_streak : float
         Largest extent of a streak along an axis, px; 0 if there are none.
-    largest_disc : float
-        Radius, px, up to which discs are drawn as they are; below 0 if the lens is not round, or there are no discs.
+    closed_radius : float
+        Radius, px, up to which PSFs are drawn in closed form; below 0 if there are none, see `psf.model.PsfModel`.
     """
 
     steps_per_octave: int
@@ -78,7 +79,7 @@ class Sizes(NamedTuple):
     share: npt.NDArray[np.float64]
     sharp_extent: float
     longest_streak: float
-    largest_disc: float
+    closed_radius: float
 
 
 class PoseLabels(NamedTuple):
@@ -191,7 +192,8 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
     radiance, weight = colour
     heading, coc, shift, codes = pose
     unit_cell, cell_start, first, second = grid.unit_cell, grid.cell_start, _axis(0, grid, sizes), _axis(1, grid, sizes)
-    steps_per_octave, n_steps, _, _, sharp_extent, longest, largest_disc = sizes
+    steps_per_octave, n_steps, _, _, sharp_extent, longest, closed_radius = sizes
+    largest = 2.0 ** ((n_steps - 1) / steps_per_octave)
     ones, others = coordinate[0], coordinate[-1]
     for row in range(begin, end):
         worst, count, largest_step = 0.0, 0, 0
@@ -212,16 +214,19 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
             if extent <= sharp_extent:
                 key[row, col] = SHARP
                 continue
-            if one <= largest_disc and extent - one <= STILL:
-                key[row, col] = FIRST_STREAK - disc_code(one)
+            path_x, path_y = (np.float64(x), np.float64(y)) if longest > 0.0 else (0.0, 0.0)
+            is_streak = one <= sharp_extent and extent - one > STILL
+            if is_streak and max(abs(path_x), abs(path_y)) <= longest:
+                across, down = 0.0, 0.0
+                if len(shift):
+                    across, down = np.float64(shift[row, col, 0]), np.float64(shift[row, col, 1])
+                key[row, col] = FIRST_STREAK - streak_code(path_x, path_y, across, down)
                 continue
-            if one <= sharp_extent and longest > 0.0:
-                if max(abs(x), abs(y)) <= longest:
-                    across, down = 0.0, 0.0
-                    if len(shift):
-                        across, down = np.float64(shift[row, col, 0]), np.float64(shift[row, col, 1])
-                    key[row, col] = FIRST_STREAK - streak_code(np.float64(x), np.float64(y), across, down)
-                    continue
+            # Beyond the range, what would come into the closed form if it were scaled down is in it, too.
+            wider = max(factor, 1.0) if factor <= largest else 1.0
+            if one <= closed_radius * wider:
+                key[row, col] = FIRST_STREAK - 2 * thin_code(one, path_x, path_y, wider) - 1
+                continue
             # All others have a cell; what is beyond its range is scaled.
             step, shrink = 0, 1.0
             if factor > 1.0:

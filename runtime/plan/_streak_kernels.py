@@ -1,6 +1,6 @@
-"""Compiled kernels of PSFs that are drawn as they are: streaks of what moves in focus, and small discs.
+"""Compiled kernels of PSFs that are drawn in closed form: streaks of what moves in focus, and thin capsules.
 
-Codes of streaks are even, those of discs odd.
+Codes of streaks are even, those of capsules odd.
 """
 
 import math
@@ -8,16 +8,13 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.psf._capsule_kernels import FAINT, capsule_light, list_light, thin_shape
 
 STEPS_PER_PX = 2
 """Paths are rounded to half pixels, which moves their ends by an eighth of one at most."""
 MIDDLES_PER_PX = 4
 N_MIDDLES = MIDDLES_PER_PX + 1
 """The middle of a path, which lies within half a pixel of a pixel's centre, is rounded to quarters."""
-RADII_PER_PX = 32
-"""Radii of small discs are rounded to steps of 1 / 32 px."""
-COVER_SAMPLES = 32
-"""Samples along each axis of a pixel, of which a disc covers some."""
 SAMPLES_PER_PX = 8
 """Moments of a path within a pixel; each is split over four pixels, bilinearly."""
 
@@ -32,12 +29,6 @@ def _folded(step):
 def _unfolded(number):
     """Undo `_folded`."""
     return -(number + 1) // 2 if number % 2 else number // 2
-
-
-@helper(inline="always")
-def disc_code(radius):
-    """Return the code of a disc of a radius, px."""
-    return 2 * int(np.rint(RADII_PER_PX * radius)) + 1
 
 
 @helper
@@ -89,29 +80,14 @@ def _streak(code, openness):
     return light
 
 
-@helper
-def _disc(code):
-    """Return how many samples of each pixel a disc covers, in a square about its own."""
-    radius = (code // 2) / RADII_PER_PX
-    reach = int(radius + 0.5)
-    light = np.zeros((2 * reach + 1, 2 * reach + 1))
-    for row in range(COVER_SAMPLES * len(light)):
-        for col in range(COVER_SAMPLES * len(light)):
-            y = (row + 0.5) / COVER_SAMPLES - 0.5 - reach
-            x = (col + 0.5) / COVER_SAMPLES - 0.5 - reach
-            if x * x + y * y <= radius * radius:
-                light[row // COVER_SAMPLES, col // COVER_SAMPLES] += 1.0
-    return light
-
-
 @kernel
 def draw_own(begin, end, code, openness, start, offset_rc, value):
-    """Count the pixels of streaks and discs, or list them with their shares of the light, by row.
+    """Count the pixels of streaks and capsules, or list them with their shares of the light, by row.
 
     Parameters
     ----------
     code : ndarray of shape (n,), int64
-        See `streak_code` and `disc_code`.
+        See `streak_code`; of a capsule one more than twice its `spreadlets.psf._capsule_kernels.thin_code`.
     openness : ndarray of shape (m,), float64
         How far the shutter is open, at equally spaced times from opening to closing.
     start : ndarray of shape (n,), int64
@@ -122,15 +98,12 @@ def draw_own(begin, end, code, openness, start, offset_rc, value):
         Filled with their shares of the light, of sum 1.
     """
     for i in range(begin, end):
-        light = _disc(code[i]) if code[i] % 2 else _streak(code[i], openness)
-        total, n_points = light.sum(), 0
-        for row in range(light.shape[0]):
-            for col in range(light.shape[1]):
-                if light[row, col] > 0.0:
-                    if len(value):
-                        place = start[i] + n_points
-                        offset_rc[place, 0], offset_rc[place, 1] = row - light.shape[0] // 2, col - light.shape[1] // 2
-                        value[place, 0] = light[row, col] / total
-                    n_points += 1
+        if code[i] % 2:
+            radius, length, angle = thin_shape(code[i] // 2)
+            light, faint = capsule_light(radius, length, angle), FAINT
+        else:
+            light, faint = _streak(code[i], openness), 0.0
+        first = start[i] if len(value) else 0
+        n_points = list_light(light, faint, offset_rc[first:], value[first:])
         if not len(value):
             start[i] = n_points

@@ -33,7 +33,7 @@ from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
-from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, largest_disc, longest_streak
+from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
 from spreadlets.scene.camera import ThinLens
@@ -130,7 +130,7 @@ class _Choice(NamedTuple):
     indices : list of ndarray of shape (H, W), int32
         For each set, the number of each pixel's variant; -1 where nothing is drawn.
     variants : list of Variant
-        Those behind streaks and small discs.
+        Those behind streaks and capsules.
     is_streak : ndarray of shape (n,), bool
         Which of these are streaks.
     highlights : Highlights
@@ -152,7 +152,7 @@ class _Choice(NamedTuple):
 
     @property
     def n_streaks(self) -> int:
-        """Number of streaks and small discs."""
+        """Number of streaks and capsules."""
         return len(self.is_streak)
 
     @property
@@ -419,7 +419,7 @@ class _Given(NamedTuple):
         # Where more than lens and motion blurs, no PSF stays within its pixel.
         sharp_extent = SHARP_EXTENT if scaling.all() else NEVER_SHARP
         sizes = Sizes(
-            SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent, longest_streak(model), largest_disc(model)
+            SCALE_STEPS_PER_OCTAVE, N_SCALES, scaling, share, sharp_extent, longest_streak(model), model.closed_radius
         )
         heading = np.ascontiguousarray(HEADINGS[model.symmetry.heading](labels))
         shift = UNMOVED if labels.shift is None else np.ascontiguousarray(labels.shift)

@@ -1,8 +1,10 @@
-"""Streaks and small discs: PSFs that are drawn as they are, not by cells.
+"""Streaks and thin capsules: PSFs that are drawn in closed form, not by cells.
 
 A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred. A texture that moves in
 focus would be blurred across its path, and beyond its ends; so it is drawn along its own. Near the focus, where cells
-are wide against the blur, it would jump from one to the next as the focus is pulled; so discs have their own radius.
+are wide against the blur, it would jump from one to the next as the focus is pulled; and a cell would be stored as its
+pixels, of which its own mean has more than a PSF has. So discs and capsules of a round lens, up to a radius of
+`spreadlets.psf.model.CLOSED_RADIUS_PX`, have nearly their own radius, length and direction; there are no cells.
 """
 
 from __future__ import annotations
@@ -19,8 +21,6 @@ from spreadlets.runtime.plan import _streak_kernels
 
 LONGEST_PX = 128.0
 """Extent along an axis of the longest path that is a streak: the numbers of codes grow with its square."""
-LARGEST_DISC_PX = 2.5
-"""Radius from which cells are narrow enough, and fewer points than a disc's."""
 BOX_SHUTTER = (1.0, 1.0)
 """How far a shutter without a curve is open, from opening to closing."""
 
@@ -46,12 +46,6 @@ class Streaks(NamedTuple):
     offset_rc: npt.NDArray[np.int32]
     value: Image
     counts: IntArray
-
-
-def largest_disc(model: PsfModel) -> float:
-    """Return the radius up to which PSFs are discs that are drawn as they are, px; -1 if the model's are no discs."""
-    is_round = model.axes[0].name == "coc" and model.n_channels == 1 and not model.settings
-    return LARGEST_DISC_PX if is_round else -1.0
 
 
 def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:

@@ -46,6 +46,10 @@ COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
 
+CLOSED_RADIUS_PX = 3.5
+"""Radius up to which the PSFs of a round thin lens are drawn in closed form (`spreadlets.psf.capsule`), px, and no
+cells are stored. There they are a few rows of pixels: sparsified, each cell would be stored as those."""
+
 FINEST_MOTION_PX = 1.6
 """Length of the path, px, over which what is still is averaged in a grid of many cells. More cells then divide the CoC:
 the radius of a rim shows more than the ends of a path. At random coordinates the PSFs of 400 cells have a similarity of
@@ -88,7 +92,8 @@ class Axis:
     power : float
         Grid units grow as ``(s / maximum) ** (1 / power)``: above 1, cells are finer near zero (LKS section 5.2).
     floor : float
-        Coordinates below it make no visible difference: they all belong to the first unit, and the others start here.
+        Coordinates below it make no visible difference, or their PSFs are drawn in closed form: they all belong to the
+        first unit, and the others start here.
     scales : bool
         Whether the PSF beyond the maximum is the one at the maximum, magnified; if not, it is that one as it is.
     finest : float
@@ -219,21 +224,27 @@ class PsfModel:
         """Whether the PSFs are those of things that move."""
         return any(axis.name == "motion" for axis in self.axes)
 
+    @property
+    def closed_radius(self) -> float:
+        """CoC radius up to which PSFs are drawn in closed form, px; -1 if they are not those of a round thin lens."""
+        is_round = self.axes[0].name == "coc" and self.n_channels == 1 and not self.settings
+        return CLOSED_RADIUS_PX if is_round else -1.0
 
-def _coc_floor(max_coc: float) -> float:
-    return min(COC_FLOOR_PX, 0.5 * max_coc)
+
+def _coc_floor(max_coc: float, *, is_round: bool = False) -> float:
+    return min(CLOSED_RADIUS_PX if is_round else COC_FLOOR_PX, 0.5 * max_coc)
 
 
 def _simplelens(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens; the motion is ignored."""
-    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),)
+    axes = (Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc, is_round=not settings)),)
     return PsfModel("simplelens", axes, 1, False, 100, _stored_symmetry(settings), settings)
 
 
 def _combined(max_coc: float, max_motion: float, settings: Mapping[str, Any]) -> PsfModel:
     """Thin lens with straight motion; its length is that of the path over the shutter."""
     axes = (
-        Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc)),
+        Axis("coc", "px", max_coc, 2.0, _coc_floor(max_coc, is_round=not settings)),
         Axis("motion", "px", max_motion, 1.0, finest=FINEST_MOTION_PX),
     )
     return PsfModel("combined", axes, 1, True, 400, _stored_symmetry(settings), settings)
@@ -386,7 +397,9 @@ class PsfGrid:
         first = self.first[:, None]
         fraction = first + (1.0 - first) * units / np.array(self.shape, dtype=np.float64)[:, None]
         boxes = self.maximum[:, None] * fraction ** self.power[:, None]
-        return np.asarray(np.where(units > 0, boxes, 0.0), dtype=np.float64)
+        # What is below a floor belongs to the first unit, unless it needs no cell.
+        closed = np.array([0.0 < self.model.closed_radius <= axis.floor for axis in self.model.axes])
+        return np.asarray(np.where(closed[:, None] | (units > 0), boxes, 0.0), dtype=np.float64)
 
     @cached_property
     def direction_counts(self) -> npt.NDArray[np.int64]:

@@ -48,8 +48,10 @@ def test_coordinates_cover_the_remapped_range():
         grid = database.grid
     places = between_cells.random_places(grid, 400)
     assert (places.side == 1).all(), "both sides of the focus are alike"
+    assert places.coordinate[:, 0].min() < 1.1 < grid.model.axes[0].floor, "also where there are no cells"
     unit = (places.coordinate / grid.maximum) ** (1 / grid.power)
-    unit = (unit - grid.first) / (1 - grid.first)
+    first = np.array([(1.0 / grid.maximum[0]) ** (1 / grid.power[0]), 0.0])
+    unit = (unit - first) / (1 - first)
     assert unit.mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.05) and unit.min() >= 0 and unit.max() <= 1
     assert np.ptp(places.angle) > 6.0
 
@@ -64,7 +66,8 @@ def test_the_rim_of_a_disc_is_where_it_is(centre):
 def test_what_was_left_out_is_not_counted(small_combined):
     some = between_cells.between_cells(small_combined.grid, small_combined.cell)
     none = between_cells.between_cells(small_combined.grid, lambda cell, pose: None)
-    assert none["dim"] == {} and none["highlight"] == some["highlight"]
+    assert none["dim"]["mean"] > some["dim"]["mean"], "what is drawn in closed form is left"
+    assert "mean_large" not in none["dim"] and none["highlight"] == some["highlight"]
     blank = Spreadlet(np.zeros((1, 2), np.int16), np.ones((1, 1), np.float32), True)
     assert between_cells.between_cells(small_combined.grid, lambda cell, pose: blank)["dim"]["mean"] < 0.6
 

@@ -443,8 +443,8 @@ def rms(image, truth):
     return float(np.sqrt(np.mean((image[inside] - truth[inside]) ** 2)))
 
 
-def test_samples_become_cleaner_than_their_mean_and_more_of_them_better(small_combined, bar_truth):
-    found = [rms(reconstruct(bar_samples(count), CAMERA, small_combined), bar_truth) for count in (1, 2, 4)]
+def test_samples_become_cleaner_than_their_mean_and_more_of_them_better(bar_truth):
+    found = [rms(reconstruct(bar_samples(count), CAMERA, "combined"), bar_truth) for count in (1, 2, 4)]
     mean = rms(reconstruct(bar_samples(1), CAMERA, method="mean"), bar_truth)
     assert found[0] < 0.1 * mean  # measured 0.072
     assert found[0] > found[1] > found[2]
@@ -528,11 +528,12 @@ def test_missing_samples_take_no_part(small_combined):
 
 
 @pytest.mark.parametrize("effect", ["defocus", "motion"])
-def test_an_effect_can_be_taken_out_of_samples(small_combined, effect):
-    image = reconstruct(bar_samples(4), CAMERA, small_combined, **{effect: False})
+def test_an_effect_can_be_taken_out_of_samples(bar_truth, effect):
+    image = reconstruct(bar_samples(4), CAMERA, "combined", **{effect: False})
     truth = np.mean([bar_without(effect, seed) for seed in range(8)], axis=0)
     assert rms(image, truth) < 0.028
-    assert rms(image, truth) < 0.9 * rms(reconstruct(bar_samples(4), CAMERA, small_combined), truth)
+    # Measured .33 and .70: what is left out of the image is what the two truths differ by.
+    assert rms(image, truth) < 0.9 * rms(image, bar_truth)
 
 
 def bar_without(effect, seed):

@@ -1,12 +1,14 @@
-"""Streaks against lines drawn by many points, and where they are used."""
+"""Streaks and thin capsules against lines and discs, and where they are used."""
 
 import numpy as np
 import pytest
 
 import spreadlets as sp
 from spreadlets.compiled import kernel
+from spreadlets.psf._capsule_kernels import thin_code
+from spreadlets.psf.capsule import exact_capsules
 from spreadlets.psf.model import get_model
-from spreadlets.runtime.plan._streak_kernels import disc_code, streak_code
+from spreadlets.runtime.plan._streak_kernels import streak_code
 from spreadlets.runtime.plan.streaks import draw_streaks
 
 CAMERA = sp.ThinLens(50.0, 36.0, 1e6, 4.0, shutter=(-0.5, 0.5))
@@ -30,20 +32,59 @@ def drawn(path, shift=(0.0, 0.0), curve=None):
 
 
 @kernel
-def disc_coded(radius):
-    return disc_code(radius)
+def thin_coded(radius, x, y, excess):
+    return thin_code(radius, x, y, excess)
 
 
 @pytest.mark.interpreted
 @pytest.mark.parametrize("radius", [0.5, 0.75, 1.5, 2.5])
 def test_a_small_disc_has_its_own_radius(radius):
-    discs = draw_streaks(np.array([disc_coded(radius)]), get_model("combined"))
+    discs = draw_streaks(np.array([2 * thin_coded(radius, 0.0, 0.0, 1.0) + 1]), get_model("combined"))
     assert discs.value.sum() == pytest.approx(1.0, abs=1e-6)
     # The variance of a disc along an axis is r^2 / 4, that of a pixel 1 / 12.
     variance = float((discs.value[:, 0] * discs.offset_rc[:, 0] ** 2).sum())
     assert variance == pytest.approx(radius**2 / 4 - 1 / 12 if radius > 1 else variance, abs=0.25)
     peak = 1.0 if radius <= 0.5 else 1.0 / (np.pi * radius**2) if radius > 0.71 else None
     assert peak is None or discs.value.max() == pytest.approx(peak, rel=0.02)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize(
+    ("path", "excess"), [((7.0, -3.0), 1.0), ((-7.0, 3.0), 1.0), ((150.0, 20.0), 1.0), ((9.0, 0.0), 3.0)]
+)
+def test_a_thin_capsule_has_its_own_length_and_direction(path, excess):
+    psf = draw_streaks(np.array([2 * thin_coded(2.0 * excess, *path, excess) + 1]), get_model("combined"))
+    row, col = psf.offset_rc.T.astype(float)
+    light = psf.value[:, 0].astype(float)
+    assert light.sum() == pytest.approx(1.0, abs=1e-5)
+    # A path of l has the variance l^2 / 12 along an axis, a disc r^2 / 4; ends are off by a quarter of a step or less.
+    step = 1.0 if excess == 1.0 and max(path) < 128 else 2.0 if excess == 1.0 else 4.0
+    for offset, length in ((col, path[0]), (row, path[1])):
+        spread = float(np.sqrt(12.0 * max((light * offset**2).sum() - excess**2, 0.0)))
+        assert spread == pytest.approx(abs(length), abs=1.0 + step / 2)
+    assert np.sign((light * row * col).sum()) == np.sign(path[0] * path[1])
+
+
+def test_opposite_paths_share_a_capsule_and_codes_of_short_paths_are_small():
+    assert thin_coded(2.0, 7.0, -3.0, 1.0) == thin_coded(2.0, -7.0, 3.0, 1.0) != thin_coded(2.0, 7.0, 3.0, 1.0)
+    longest = [max(thin_coded(3.5, x, y, 1.0) for x in (-n, n) for y in (0.0, n)) for n in (4.0, 8.0, 128.0, 300.0)]
+    assert np.all(np.diff(longest) > 0) and longest[1] < 46 * 18**2
+    assert thin_coded(1.0, 1e9, 1e9, 1.0) == thin_coded(1.0, 1e5, 1e5, 1.0), "a path without end"
+
+
+def test_thin_capsules_need_no_cells(small_combined):
+    """What lies below the radius from which a grid begins is drawn without it, and without a warning of its range."""
+    radiance = np.zeros((SIZE, SIZE, 3), np.float32)
+    radiance[SIZE // 2, SIZE // 2] = 0.9
+    depth = 1 / (1 / 4.0 - 2.0 / CLOSE.coc_scale(SIZE))
+    motion = np.full((SIZE, SIZE, 2), (9.0, 6.0), np.float32)
+    frame = sp.Frame(radiance, np.full((SIZE, SIZE), depth, np.float32), motion)
+    image, report = sp.synthesize(frame, CLOSE, small_combined, report=True)
+    exact = next(exact_capsules(np.array([[2.0, np.hypot(9, 6)]]), np.array([np.arctan2(6, 9)]), np.array([1])))
+    drawn = np.zeros((SIZE, SIZE))
+    drawn[tuple(exact.offset_rc.T + SIZE // 2)] = 0.9 * exact.value[:, 0]
+    assert np.abs(image[..., 0] - drawn).max() < 0.06 * drawn.max()
+    assert report.plan.cells_used == 0
 
 
 def test_near_the_focus_the_blur_grows_evenly(small_combined):

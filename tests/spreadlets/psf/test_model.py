@@ -1,10 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.psf.model import DIRECTION_STEP_PX, OCTANT, Axis, PoseSymmetry, PsfGrid, PsfModel, get_model
+from spreadlets.psf.model import (
+    CLOSED_RADIUS_PX,
+    DIRECTION_STEP_PX,
+    OCTANT,
+    Axis,
+    PoseSymmetry,
+    PsfGrid,
+    PsfModel,
+    get_model,
+)
 
 COMBINED = PsfGrid.of(get_model("combined"))
 
@@ -38,7 +49,21 @@ def test_defocus_of_less_than_a_pixel_makes_no_difference(name):
     grid = PsfGrid.of(get_model(name))
     rest = [0.0] * (grid.model.n_axes - 1)
     assert grid.find([0.02, *rest]) == grid.find([0.98, *rest])
-    assert grid.find([0.02, *rest]) != grid.find([2.5, *rest])
+    assert grid.find([0.02, *rest]) != grid.find([4.5, *rest])
+
+
+@pytest.mark.parametrize(("settings", "begins"), [({}, CLOSED_RADIUS_PX), ({"blades": 6}, 0.0)])
+def test_cells_of_a_round_lens_begin_where_the_closed_form_ends(settings, begins):
+    model = get_model("combined", settings=settings)
+    assert PsfGrid.of(model).boxes[:, 0, 0].min() == pytest.approx(begins)
+    assert model.closed_radius == (begins or -1.0)
+    # What was built before had cells of all radii, and keeps their ranges.
+    before = replace(model, axes=(replace(model.axes[0], floor=1.0), model.axes[1]))
+    assert PsfGrid.of(before).boxes[:, 0, 0].min() == 0.0
+
+
+def test_coloured_and_real_lenses_have_no_closed_form():
+    assert [get_model(name).closed_radius for name in ("stylized", "volume", "physicallens")] == [-1.0] * 3
 
 
 def test_unknown_model_lists_the_known_ones():
@@ -85,7 +110,8 @@ def test_find_inverts_coordinate(name):
 @settings(deadline=None)
 def test_find_returns_the_box_around(coc, motion):
     box = COMBINED.box(int(COMBINED.find([coc, motion])))
-    point = np.array([coc, motion])
+    # What is thinner belongs to the first cells, but is drawn without them.
+    point = np.array([max(coc, CLOSED_RADIUS_PX), motion])
     slack = 1e-9 * COMBINED.maximum
     assert (box[:, 0] <= point + slack).all() and (point - slack <= box[:, 1]).all()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.parallel import for_bands
-from spreadlets.precompute.models._capsule_kernels import draw_capsules, half_sizes
+from spreadlets.psf._capsule_kernels import FAINT, draw_capsules, half_sizes, round_thin
 from spreadlets.psf.spreadlet import Spreadlet
 
 
@@ -26,13 +26,33 @@ def exact_capsules(coordinate: DoubleArray, angle: DoubleArray, side: IntArray) 
     -----
     LKS section 5.3: "a closed-form solution might exist for special models".
     """
+    yield from _drawn(_shapes(coordinate, angle), 0.0)
+
+
+def thin_capsules(coordinate: DoubleArray, angle: DoubleArray) -> Iterator[Spreadlet]:
+    """Yield the PSFs that pixels get whose CoC radius is at most `spreadlets.psf.model.CLOSED_RADIUS_PX`.
+
+    They are those of `exact_capsules` at coordinates that are rounded, so that neighbours share them.
+    """
+    shape = _shapes(coordinate, angle)
+    for_bands(round_thin, len(shape), shape)
+    yield from _drawn(shape, FAINT)
+
+
+def _shapes(coordinate: DoubleArray, angle: DoubleArray) -> DoubleArray:
+    """Return radius, length of the path and its direction, (n, 3)."""
     shape = np.zeros((len(coordinate), 3))
     shape[:, : coordinate.shape[1]] = coordinate
     shape[:, 2] = np.where(shape[:, 1] > 0.0, angle, 0.0)
+    return shape
+
+
+def _drawn(shape: DoubleArray, faint: float) -> Iterator[Spreadlet]:
+    """Yield capsules, without pixels below a share of their peak."""
     halves = np.array([half_sizes(*each) for each in shape], np.int64).reshape(-1, 2)
     first = np.concatenate([[0], np.cumsum((2 * halves + 1).prod(axis=1))])
     offset_rc, value = np.empty((first[-1], 2), np.int16), np.empty((first[-1], 1), np.float32)
     count = np.empty(len(shape), np.int64)
-    for_bands(draw_capsules, len(shape), shape, first, offset_rc, value, count)
+    for_bands(draw_capsules, len(shape), shape, faint, first, offset_rc, value, count)
     for begin, n in zip(first, count, strict=False):
         yield Spreadlet(offset_rc[begin : begin + n], value[begin : begin + n], True)

@@ -6,7 +6,7 @@ from naive.psfs import capsule_psf, disc_coverage
 
 from spreadlets.metrics import psf_similarity
 from spreadlets.parallel import limit_threads
-from spreadlets.precompute.models.capsule import exact_capsules
+from spreadlets.psf.capsule import exact_capsules
 
 SHAPES = [(0.3, 30.0, 0.4), (1.0, 0.0, 0.0), (2.5, 7.0, -1.2), (4.0, 10.0, 2.2), (12.0, 0.0, 0.0), (20.0, 20.0, 2.0)]
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.psf.model import CLOSED_RADIUS_PX
 
 EDGE_LINES, THIN_LINES = 8, 16
 """Lines across a pixel at the rim: with them the pixels of a disc err by 1 % of its level or so; and for a disc that is
@@ -20,6 +21,62 @@ RIM_PX = 1.25
 """How close to the rim a pixel counts as at it, px: half its diagonal, and room for the chords, which end steeply."""
 LEAST_RADIUS_PX = 0.25
 """Radius of a thinner disc as it is drawn: a pixel hides the difference, but lines across it could miss the disc."""
+RADIUS_STEPS = 24.0
+"""Radii of thin capsules are rounded to steps of ``2 sqrt(r) / 24``, which moves their rims by a sixteenth of a pixel
+or so; twice as fine, more of them would be drawn, and no figure of a frame would change."""
+DISC_STEPS = 96.0
+"""The same for what stands still: a focus that is pulled over a texture must not be seen to jump."""
+N_DISCS, N_RADII = (math.floor(steps * math.sqrt(CLOSED_RADIUS_PX) + 0.5) + 1 for steps in (DISC_STEPS, RADIUS_STEPS))
+"""Rounded radii of what is drawn in closed form."""
+FINE_PATH_PX = 128
+"""Extent along an axis up to which paths are rounded to whole pixels, which moves their ends by a quarter of one at
+most; those up to twice as long to two pixels, and so on."""
+N_SHAPES = N_DISCS + (2 * FINE_PATH_PX + 1) ** 2 * N_RADII
+"""Discs and capsules without those of longer paths."""
+LONGEST_PATH_PX = 2048.0
+"""Extent along an axis of the longest path that is drawn; a longer one covers the frame evenly."""
+FAINT = 0.01
+"""Share of the peak below which pixels of a thin capsule are left out: a sixteenth of all."""
+
+
+@helper(inline="always")
+def thin_code(radius, x, y, excess):
+    """Return the code of a capsule of a radius and path, px, rounded; that of a short path is small.
+
+    Opposite paths are the same. ``excess``, at least 1, is how many times wider the capsule may be than those that are
+    always drawn in closed form.
+    """
+    size, largest = 1.0, max(abs(x), abs(y))
+    if largest > LONGEST_PATH_PX:
+        x, y, largest = x * LONGEST_PATH_PX / largest, y * LONGEST_PATH_PX / largest, LONGEST_PATH_PX
+    octave = 0
+    while largest > FINE_PATH_PX * size or excess > size:
+        size *= 2.0
+        octave += 1
+    right, below, root = int(np.rint(x / size)), int(np.rint(y / size)), math.sqrt(radius / size)
+    if right == 0 and below == 0:
+        return octave * N_SHAPES + int(math.floor(DISC_STEPS * root + 0.5))
+    if below < 0 or (below == 0 and right < 0):
+        right, below = -right, -below
+    # Pairs of numbers are counted along squares around 0 (Szudzik 2006, "An elegant pairing function").
+    right = 2 * right if right >= 0 else -2 * right - 1
+    path = right * right + below if below < right else below * below + below + right
+    return octave * N_SHAPES + N_DISCS + path * N_RADII + int(math.floor(RADIUS_STEPS * root + 0.5))
+
+
+@helper
+def thin_shape(code):
+    """Return what a code stands for: the radius, the length of the path, px, and its direction, radians."""
+    octave, rest = divmod(code, N_SHAPES)
+    size = 2.0**octave
+    if rest < N_DISCS:
+        return size * (rest / DISC_STEPS) ** 2, 0.0, 0.0
+    path, step = divmod(rest - N_DISCS, N_RADII)
+    side = int(math.sqrt(path))
+    rest = path - side * side
+    right, below = (side, rest) if rest < side else (rest - side, side)
+    right = -(right + 1) // 2 if right % 2 else right // 2
+    return size * (step / RADIUS_STEPS) ** 2, size * math.hypot(right, below), math.atan2(below, right)
 
 
 @kernel
@@ -82,8 +139,8 @@ def _pixel_light(along, across, radius, path, lines):
 
 
 @helper
-def _draw_capsule(radius, length, angle, offset_rc, value):
-    """List the pixels of one capsule, of unit sum; return how many there are."""
+def capsule_light(radius, length, angle):
+    """Return the light of a capsule, of any sum, in a rectangle about its middle, float64 (rows, columns)."""
     half_row, half_col = half_sizes(radius, length, angle)
     radius, path = max(radius, LEAST_RADIUS_PX), 0.5 * length
     edge = np.empty((THIN_LINES if radius < THIN_RADIUS_PX else EDGE_LINES, 4))
@@ -91,33 +148,48 @@ def _draw_capsule(radius, length, angle, offset_rc, value):
     _lines_through_pixel(angle, edge)
     _lines_through_pixel(angle, inner)
     cos, sin = math.cos(angle), math.sin(angle)
-    n, total = 0, 0.0
+    light = np.zeros((2 * half_row + 1, 2 * half_col + 1))
     for row in range(-half_row, half_row + 1):
         for col in range(-half_col, half_col + 1):
             along, across = col * cos + row * sin, row * cos - col * sin
             # Distance from the capsule's middle line.
             distance = math.hypot(across, max(abs(along) - path, 0.0))
-            if distance >= radius + RIM_PX:
-                continue
-            lines = edge if distance > radius - RIM_PX else inner
-            light = _pixel_light(along, across, radius, path, lines)
-            if light > 0.0:
-                offset_rc[n, 0], offset_rc[n, 1], value[n, 0] = row, col, light
-                total += light
+            if distance < radius + RIM_PX:
+                lines = edge if distance > radius - RIM_PX else inner
+                light[half_row + row, half_col + col] = _pixel_light(along, across, radius, path, lines)
+    return light
+
+
+@helper
+def list_light(light, faint, offset_rc, value):
+    """List the pixels of a rectangle (rows, columns) above a share of the peak, of unit sum; return their number.
+
+    If the lists are empty, they are only counted.
+    """
+    least, total, n = faint * light.max(), 0.0, 0
+    for row in range(light.shape[0]):
+        for col in range(light.shape[1]):
+            if light[row, col] > least:
+                if len(value):
+                    offset_rc[n, 0], offset_rc[n, 1] = row - light.shape[0] // 2, col - light.shape[1] // 2
+                    value[n, 0] = light[row, col]
+                total += light[row, col]
                 n += 1
-    for k in range(n):
-        value[k, 0] /= total
+    if len(value):
+        value[:n] /= np.float32(total)
     return n
 
 
 @kernel
-def draw_capsules(begin, end, shape, first, offset_rc, value, count):
+def draw_capsules(begin, end, shape, faint, first, offset_rc, value, count):
     """List the pixels of discs swept along straight paths; their rows ascend.
 
     Parameters
     ----------
     shape : float64 array of shape (n, 3)
         Radius, length of the path, px; its direction, radians.
+    faint : float
+        Share of the peak below which pixels are left out.
     first : int64 array of shape (n + 1,)
         The pixels of capsule k may fill the rows from ``first[k]`` to ``first[k + 1]`` of the next two: at least those
         of its box, see `half_sizes`.
@@ -130,4 +202,13 @@ def draw_capsules(begin, end, shape, first, offset_rc, value, count):
     """
     for k in range(begin, end):
         i, j = first[k], first[k + 1]
-        count[k] = _draw_capsule(shape[k, 0], shape[k, 1], shape[k, 2], offset_rc[i:j], value[i:j])
+        light = capsule_light(shape[k, 0], shape[k, 1], shape[k, 2])
+        count[k] = list_light(light, faint, offset_rc[i:j], value[i:j])
+
+
+@kernel
+def round_thin(begin, end, shape):
+    """Round radius, length of the path and its direction of thin capsules, (n, 3), float64, as they are drawn."""
+    for k in range(begin, end):
+        x, y = shape[k, 1] * math.cos(shape[k, 2]), shape[k, 1] * math.sin(shape[k, 2])
+        shape[k, 0], shape[k, 1], shape[k, 2] = thin_shape(thin_code(shape[k, 0], x, y, 1.0))
