@@ -3,8 +3,8 @@
 A cell's PSF is a mean over radii, lengths and directions. That is right for what is blurred. A texture that moves in
 focus would be blurred across its path, and beyond its ends; so it is drawn along its own. Near the focus, where cells
 are wide against the blur, it would jump from one to the next as the focus is pulled; and a cell would be stored as its
-pixels, of which its own mean has more than a PSF has. So discs and capsules of a round lens, up to a radius of
-`spreadlets.psf.model.CLOSED_RADIUS_PX`, have nearly their own radius, length and direction; there are no cells.
+pixels, of which its own mean has more than a PSF has. So discs and capsules of a round lens, up to
+`spreadlets.psf._capsule_kernels.CLOSED_RADIUS_PX`, have nearly their own radius, length and direction, and no cells.
 """
 
 from __future__ import annotations

@@ -9,7 +9,10 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
-from spreadlets.psf.model import CLOSED_RADIUS_PX
+
+CLOSED_RADIUS_PX = 3.5
+"""Radius up to which the PSFs of a round thin lens are drawn in closed form (`spreadlets.psf.capsule`), px, and no
+cells are stored. There they are a few rows of pixels: sparsified, each cell would be stored as those."""
 
 EDGE_LINES, THIN_LINES = 8, 16
 """Lines across a pixel at the rim: with them the pixels of a disc err by 1 % of its level or so; and for a disc that is

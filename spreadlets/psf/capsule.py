@@ -30,7 +30,7 @@ def exact_capsules(coordinate: DoubleArray, angle: DoubleArray, side: IntArray) 
 
 
 def thin_capsules(coordinate: DoubleArray, angle: DoubleArray) -> Iterator[Spreadlet]:
-    """Yield the PSFs that pixels get whose CoC radius is at most `spreadlets.psf.model.CLOSED_RADIUS_PX`.
+    """Yield the PSFs that pixels get whose CoC radius is at most `spreadlets.psf._capsule_kernels.CLOSED_RADIUS_PX`.
 
     They are those of `exact_capsules` at coordinates that are rounded, so that neighbours share them.
     """

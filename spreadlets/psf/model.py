@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.errors import InvalidParameterError
+from spreadlets.psf._capsule_kernels import CLOSED_RADIUS_PX
 from spreadlets.psf._grid_kernels import (
     SIGN_IGNORED,
     SIGN_STORED,
@@ -45,10 +46,6 @@ STILL_MOTION_PX = 1.0
 COC_FLOOR_PX = 1.0
 """PSFs with smaller circles of confusion share a unit of the grid. On frames, 400 cells with this floor are as good as
 800 without: half of them would go to radii that no pixel shows."""
-
-CLOSED_RADIUS_PX = 3.5
-"""Radius up to which the PSFs of a round thin lens are drawn in closed form (`spreadlets.psf.capsule`), px, and no
-cells are stored. There they are a few rows of pixels: sparsified, each cell would be stored as those."""
 
 FINEST_MOTION_PX = 1.6
 """Length of the path, px, over which what is still is averaged in a grid of many cells. More cells then divide the CoC:

@@ -429,7 +429,7 @@ def test_a_database_is_extended_and_verified(run, tmp_path):
     assert run(*arguments, "--samples", 6, "--max-coc", 5)[0] == 0
     status, out, _ = run(*arguments, "--extend", "--max-coc", 6.5, "--log", tmp_path / "log.txt")
     assert status == 0 and json.loads(out)["parameters"]["maximum"]["coc"] >= 6.5
-    assert "1 cells, 0 of them finished before" in (tmp_path / "log.txt").read_text()
+    assert "2 cells, 0 of them finished before" in (tmp_path / "log.txt").read_text()
     status, out, err = run("info", path, "--verify", "--jobs", 1, "--json")
     assert (status, err) == (0, "") and json.loads(out)["verified"]["cells"] == json.loads(out)["n_cells"]
     with h5py.File(path) as file:
