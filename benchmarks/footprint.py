@@ -24,6 +24,7 @@ from spreadlets.files.exr_frames import write_frame
 
 RESULTS = Path(__file__).parent / "results"
 DATA = Path(sp.__file__).parent / "data"
+COMMAND = "-m", "spreadlets.cli.main"
 CAMERA = {
     "focal_length_mm": 50.0,
     "sensor_width_mm": 36.0,
@@ -48,10 +49,8 @@ def picture(height: int, width: int, n_layers: int) -> sp.Frame:
 
 def synth(*arguments: object) -> tuple[dict[str, object], float]:
     """Run ``synth`` in a process of its own; return its figures and the wall time of the whole process, s."""
-    begin = time.perf_counter()
-    command = [sys.executable, "-m", "spreadlets.cli.main", "synth", *map(str, arguments), "--json"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ)
-    return json.loads(done.stdout), time.perf_counter() - begin
+    printed, seconds = run(*COMMAND, "synth", *arguments, "--json")
+    return json.loads(printed), seconds
 
 
 def memory(folder: Path, camera: Path) -> list[str]:
@@ -92,28 +91,6 @@ def made_for_a_frame(folder: Path) -> list[str]:
     return [*rows, f"{'':>14}  largest difference of the images {np.abs(images[0] - images[1]).max():.1e}"]
 
 
-FIRST_RUN = """
-import sys, time
-import numba.core.event
-from spreadlets.cli.main import main
-
-class Listener(numba.core.event.Listener):
-    depth, waited = 0, 0.0
-    def on_start(self, event):
-        self.begin = time.perf_counter() if not self.depth else self.begin
-        self.depth += 1
-    def on_end(self, event):
-        self.depth -= 1
-        self.waited += 0.0 if self.depth else time.perf_counter() - self.begin
-
-begin, listener = time.perf_counter(), Listener()
-numba.core.event.register("numba:compile", listener)
-sys.argv = ["spreadlets", "demo", "-o", sys.argv[1]]
-main()
-print(listener.waited, time.perf_counter() - begin)
-"""
-"""The demonstration, and how long it waited for kernels and took, s."""
-
 FILES_PASSED = """
 import sys
 import spreadlets as sp
@@ -130,23 +107,25 @@ print(len({name for name in passed if name.startswith("spreadlets.")}))
 """How many of the package's files run while an image is made of a frame that has been read."""
 
 
-def python(program: str, *arguments: object, **environment: str) -> list[str]:
-    """Run a program in a fresh process; return the words of the last line that it prints."""
-    command = [sys.executable, "-c", program, *map(str, arguments)]
+def run(*arguments: object, **environment: str) -> tuple[str, float]:
+    """Run Python with arguments in a fresh process; return what it prints and the wall time of the process, s."""
+    begin = time.perf_counter()
+    command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | environment)
-    return done.stdout.splitlines()[-1].split()
+    return done.stdout, time.perf_counter() - begin
 
 
 def first_run(folder: Path) -> str:
     """Return the row of the first run of the demonstration, when nothing is compiled yet."""
-    waited, whole = map(float, python(FIRST_RUN, folder / "demo", NUMBA_CACHE_DIR=str(folder / "kernels")))
+    printed, whole = run(*COMMAND, "demo", "--json", "-o", folder / "demo", NUMBA_CACHE_DIR=str(folder / "kernels"))
+    waited = json.loads(printed)["compile_s"]
     return f"first run of the demonstration: {waited:.1f} s of waiting for kernels, {whole:.1f} s as a whole"
 
 
 def passed_files() -> str:
     """Return the row of the files of the package that a frame's pixels pass."""
-    (count,) = python(FILES_PASSED, DATA / "coins_pinhole.exr", DATA / "coins.json")
-    return f"files of the package that run between a frame and its image: {count}"
+    count, _ = run("-c", FILES_PASSED, DATA / "coins_pinhole.exr", DATA / "coins.json")
+    return f"files of the package that run between a frame and its image: {count.strip()}"
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ def box_blurred(image: Image, half: int, times: int = 1) -> Image:
     """
     height, width = image.shape
     across, blurred = np.empty_like(image), image
-    for _ in range(times):
+    for _ in range(times if half else 0):
         for_bands(_box_kernels.box_rows, height, blurred, half, across)
         blurred = np.empty_like(image)
         for_bands(_box_kernels.box_columns, -(-width // _box_kernels.STRIPE), across, half, blurred)

@@ -310,8 +310,7 @@ class Renderer:
             options = replace(options, max_coc=options.max_coc * options.proxy)
         # Open the database for what moves.
         with self._lock:
-            moving = camera.moves_picture or any(layer.has_motion for layer in frames[0].layers)
-            database = self._open(options.motion and moving)
+            database = self._open(options.motion and shows_motion(frames[0], camera))
         # Render; PSFs that the database lacks are built, and then once more.
         try:
             psfs = full_psfs(database, options)
@@ -404,6 +403,11 @@ def _check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
                 f"{name} has a frame (number {number}) of {each.shape[0]} x {each.shape[1]} px, but the frame has "
                 f"{frame.shape[0]} x {frame.shape[1]}, or their data windows differ; give frames of one sequence"
             )
+
+
+def shows_motion(frame: Frame, camera: ThinLens) -> bool:
+    """Tell whether anything moves in the picture: by the frame's vectors, or as the camera does."""
+    return camera.moves_picture or any(layer.has_motion for layer in frame.layers)
 
 
 def default_database(moving: bool) -> str:

@@ -1,4 +1,3 @@
-import gc
 import json
 import subprocess
 import sys
@@ -7,12 +6,12 @@ import time
 import pytest
 
 from spreadlets import workers
+from spreadlets.garbage import collect_rarely
 from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.build.build import build_database
 from spreadlets.psf.database import open_database
 
-# As the command does, see `spreadlets.cli.main`.
-gc.set_threshold(100_000)
+collect_rarely()
 
 # Databases that tests build are compared with the exact PSF at a few places: a thousand take many seconds.
 between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2

@@ -41,11 +41,9 @@ def layer_moments(begin, end, variant, layer, farther, weight, coc, path, motion
 
 
 @helper
-def _share_before(layer, farther, number):
-    """Return the share of a pixel that belongs to layers before a number."""
-    if layer >= number:
-        return np.float32(0.0)
-    return np.float32(1.0) - farther if layer == number - 1 else np.float32(1.0)
+def _share_before(place, number):
+    """Return the share of a pixel that belongs to layers before a number, of what `cover_planes` has for a place."""
+    return min(max(np.float32(number) - place, np.float32(0.0)), np.float32(1.0))
 
 
 @kernel
@@ -70,12 +68,6 @@ def cover_planes(begin, end, variant, layer, farther, radiance, weight, cover, p
             place[row, col] = np.float32(layer[row, col]) + farther[row, col]
 
 
-@helper
-def _covered(cover, place, number):
-    """Return what a pixel covers of layers before a number."""
-    return cover * min(max(np.float32(number) - place, np.float32(0.0)), np.float32(1.0))
-
-
 @kernel
 def add_listed_cover(cover, place, at, number, nearer, beyond):
     """Add what the pixels of a list cover before a layer, and take off what they cover up to and with it.
@@ -94,8 +86,8 @@ def add_listed_cover(cover, place, at, number, nearer, beyond):
     for i in range(cover.shape[0]):
         for j in range(cover.shape[1]):
             row, col = at[i, j, 0], at[i, j, 1]
-            nearer[row, col] += _covered(cover[i, j], place[i, j], number)
-            beyond[row, col] -= _covered(cover[i, j], place[i, j], number + 1)
+            nearer[row, col] += cover[i, j] * _share_before(place[i, j], number)
+            beyond[row, col] -= cover[i, j] * _share_before(place[i, j], number + 1)
 
 
 @kernel
@@ -103,8 +95,8 @@ def take_hidden(cover, place, at, number, beyond):
     """Take off ``beyond`` what a list of hidden pixels would cover in a layer; arguments as for `add_listed_cover`."""
     for i in range(cover.shape[0]):
         for j in range(cover.shape[1]):
-            own = _covered(cover[i, j], place[i, j], number + 1) - _covered(cover[i, j], place[i, j], number)
-            beyond[at[i, j, 0], at[i, j, 1]] -= own
+            own = _share_before(place[i, j], number + 1) - _share_before(place[i, j], number)
+            beyond[at[i, j, 0], at[i, j, 1]] -= cover[i, j] * own
 
 
 @kernel
@@ -122,8 +114,8 @@ def complete_cover(begin, end, cover, place, known, number, nearer, beyond):
     for row in range(begin, end):
         covers, places, bits, hidden, left = cover[row], place[row], known[row], nearer[row], beyond[row]
         for col in range(len(covers)):
-            before = hidden[col] + _covered(covers[col], places[col], number)
-            rest = one + left[col] - _covered(covers[col], places[col], number + 1)
+            before = hidden[col] + covers[col] * _share_before(places[col], number)
+            rest = one + left[col] - covers[col] * _share_before(places[col], number + 1)
             counted = np.float32((bits[col] >> shift) & np.uint64(1))
             hidden[col] = min(max((one - counted) * before, zero), one)
             left[col] = min(max(rest + counted * before, zero), one)
@@ -165,7 +157,7 @@ def scatter_passing(members, number, sample, moments, padding, passing):
         for padded_col in range(width):
             col = min(max(padded_col - padding, 0), variant.shape[1] - 1)
             # Find the share of the sample that lies behind the layer.
-            weight = np.float32(1.0) - _share_before(layer[row, col], farther[row, col], number + 1)
+            weight = np.float32(1.0) - _share_before(np.float32(layer[row, col]) + farther[row, col], number + 1)
             if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
                 continue
             # Shear the sample to where its ray passed through the layer.

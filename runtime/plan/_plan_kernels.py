@@ -284,7 +284,7 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
 
 
 @kernel
-def sum_light(begin, end, radiance, total):
+def sum_colours(begin, end, radiance, total):
     """Fill ``total`` (H,), float64, with the sums over rows of the colours of pixels (H, W, 4), without alpha."""
     for row in range(begin, end):
         red = green = blue = 0.0

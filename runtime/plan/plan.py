@@ -392,7 +392,7 @@ def _bright(pixels: Pixels) -> float:
 @Remembered
 def _mean_radiance(colours: npt.NDArray[np.float32]) -> float:
     total = np.empty(len(colours))
-    for_bands(_plan_kernels.sum_light, len(total), colours, total)
+    for_bands(_plan_kernels.sum_colours, len(total), colours, total)
     return float(total.sum() / (3 * total.size * colours.shape[1]))
 
 

@@ -208,10 +208,9 @@ class Synthesis(Job):
         """Return where the PSFs come from: the aperture's model, or an open database."""
         from spreadlets.bokeh import bokeh_model
         from spreadlets.jobs.databases import kept_database
-        from spreadlets.renderer import default_database
+        from spreadlets.renderer import default_database, shows_motion
 
-        moves = camera.moves_picture or any(layer.has_motion for layer in frame.layers)
-        moving = bool(self.rendering.get("motion", True)) and moves
+        moving = bool(self.rendering.get("motion", True)) and shows_motion(frame, camera)
         if self.aperture:
             return bokeh_model(moving=moving, **self.aperture)
         return kept_database(self.database or default_database(moving))

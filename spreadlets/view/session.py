@@ -19,7 +19,7 @@ from spreadlets import metrics
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import SpreadletsError
 from spreadlets.psf.database import Database
-from spreadlets.renderer import Renderer
+from spreadlets.renderer import Renderer, shows_motion
 from spreadlets.runtime.clock import Clock
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -131,7 +131,7 @@ class Studio:
     @property
     def moving(self) -> bool:
         """Whether anything moves."""
-        return any(layer.has_motion for layer in self.scene.frame.layers)
+        return shows_motion(self.scene.frame, self.scene.camera)
 
     def renderer(self, settings: Settings, *, draft: bool, progress: Callable[..., None] | None = None) -> Renderer:
         """Return the renderer of an aperture; of drafts, whose paths are straight."""
