@@ -10,7 +10,7 @@ import numpy as np
 
 from spreadlets.compiled import helper, kernel
 
-CLOSED_RADIUS_PX = 3.5
+CLOSED_RADIUS_PX = 4.0
 """Radius up to which the PSFs of a round thin lens are drawn in closed form (`spreadlets.psf.capsule`), px, and no
 cells are stored. There they are a few rows of pixels: sparsified, each cell would be stored as those."""
 
