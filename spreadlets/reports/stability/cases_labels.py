@@ -372,9 +372,8 @@ def axis_borders(lab: Lab, axis: int) -> list[tuple[float, float]]:
     return [(float(coc), float(motion)) for coc, motion in places]
 
 
-def spot_image(lab: Lab, coc: float, length: float) -> Array:
-    """Return the image of a bright pixel with that PSF, moving to the right."""
-    half = math.ceil(coc + 0.5 * length) + 6
+def spot_image(lab: Lab, coc: float, length: float, half: int) -> Array:
+    """Return the image (2 * half + 1 pixels square) of a bright pixel with that PSF, moving to the right."""
     size = 2 * half + 1
     return lab.render(frame_of(spot(size, half, half), -coc, (length, 0.0)))[..., 0]
 
@@ -416,7 +415,8 @@ def border_jump(lab: Lab, axis: str) -> float:
     excess = 0.0
     for place in itertools.islice(axis_borders(lab, number), 0, None, lab.size(40, 1)):
         step[number] = 1e-6 * place[number]
-        before, after = (spot_image(lab, *(np.array(place) + side * step)) for side in (-1, 1))
+        half = math.ceil(place[0] + 0.5 * place[1]) + 7
+        before, after = (spot_image(lab, *(np.array(place) + side * step), half) for side in (-1, 1))
         traced = true_jump(lab, np.array(place) - step, np.array(place) + step)
         excess = max(excess, float(np.abs(after - before).sum()) - traced)
     return excess
