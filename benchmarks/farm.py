@@ -1,8 +1,9 @@
 """Sequences on many processes: efficiency, kills of workers and of schedulers, and a simulation up to 256 workers.
 
-Draws a shot of small frames. After every kill, results must be those of a serial run, byte by byte.
+Draws a shot of small frames. After kills of processes, of workers and of schedulers, --kills of each, results must be
+those of a serial run, byte by byte.
 
-    python benchmarks/farm.py [--frames 100] [--width 512] [--kills 20] [--seed 0]
+    python benchmarks/farm.py [--frames 100] [--width 512] [--rounds 7] [--kills 20] [--seed 0]
 
 The results go to benchmarks/results/farm.txt.
 """
@@ -89,48 +90,63 @@ def differing(folder: Path, name: str, count: int) -> int:
     return wrong
 
 
-def efficiency(folder: Path, count: int) -> tuple[list[str], list[float]]:
-    """Let one process of one thread and two run side by side; return lines, and the seconds of each frame.
+def efficiency(folder: Path, count: int, rounds: int) -> tuple[list[str], list[float]]:
+    """Let runs of one process and of two take turns; return lines, and the seconds of each frame with one thread.
 
-    What else the machine does takes from every process alike. So when the two are done, the one has made half as many
-    frames if the two lose nothing.
+    A worker of two on two processors has one thread, so what it is held against is one process of one thread. What the
+    machine does beside them falls on both, the more so on the two; so the turns are many and short.
     """
-    serial, double = start(folder, "serial", threads=1), start(folder, "double", "--jobs", "2")
-    begin = time.perf_counter()
-    report, _ = finish(double)
-    two, beside = time.perf_counter() - begin, made(folder, "serial")
-    alone, _ = finish(serial)
-    # The smaller of two times is nearer to that of a free machine. A process's first frame loads kernels, once: that
-    # belongs to its start.
-    pairs = zip(alone["frames"], report["frames"], strict=True)
-    seconds = [min(entry["time_s"]["total"] for entry in pair) for pair in pairs][2:]
+    runs = {"serial": (1, ["--jobs", "1"]), "double": (1, ["--jobs", "2"]), "both threads": (2, ["--jobs", "1"])}
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    reports, wrong = {}, 0
+    for _ in range(rounds):
+        for name, (threads, options) in runs.items():
+            begin = time.perf_counter()
+            reports[name], _ = finish(start(folder, name, "--overwrite", *options, threads=threads))
+            seconds[name].append(time.perf_counter() - begin)
+        wrong += differing(folder, "double", count) + differing(folder, "both threads", count)
+    parts = np.array(seconds["serial"]) / (2 * np.array(seconds["double"]))
     lines = [
-        f"side by side, starts included: two processes made {count} frames in {two:.1f} s, and one of one thread "
-        f"{beside}: efficiency {count / (2 * beside):.2f}; frames that differ {differing(folder, 'double', count)}",
-        f"memory: {alone['peak_rss_mb']:.0f} MB for one process, {report['peak_rss_mb']:.0f} MB for each of two",
+        f"{count} frames, starts included, in turns, median (least to most) of {rounds}: one process of one thread "
+        f"{spread(seconds['serial'])} s, two of one thread {spread(seconds['double'])} s, one of two threads "
+        f"{spread(seconds['both threads'])} s",
+        f"efficiency of two processes, half of the first by the second: {spread(list(parts), 3)}; frames that differ "
+        f"{wrong}",
+        f"memory: {reports['serial']['peak_rss_mb']:.0f} MB for one process, {reports['double']['peak_rss_mb']:.0f} MB "
+        "for each of two",
     ]
-    return lines, seconds
+    return lines, [entry["time_s"]["total"] for entry in reports["serial"]["frames"]][1:]
+
+
+def spread(values: list[float], digits: int = 1) -> str:
+    """Return the median, the least and the most as text."""
+    return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
 def children(pid: int) -> list[int]:
     found = subprocess.run(["ps", "--ppid", str(pid), "-o", "pid=,args="], capture_output=True, text=True, check=False)
-    return [int(line.split()[0]) for line in found.stdout.splitlines() if "popen_loky" in line]
+    return [int(line.split()[0]) for line in found.stdout.splitlines() if "spreadlets.processes" in line]
 
 
 def kill_processes(folder: Path, count: int, kills: int, rng: random.Random) -> str:
-    """Kill processes of a run of two at random moments, as often as its frames allow."""
-    process, done, before = start(folder, "killed", "--jobs", "2"), 0, 0
-    while done < kills and process.poll() is None:
-        time.sleep(rng.uniform(0.0, 1.0))
-        workers, now = children(process.pid), made(folder, "killed")
-        if workers and before + 2 <= now < count - 2:
-            os.kill(rng.choice(workers), signal.SIGKILL)
-            done, before = done + 1, now
-    report, _ = finish(process)
+    """Kill processes of runs of two at random moments, as often as their frames allow."""
+    done = runs = wrong = 0
+    failed: list[int] = []
+    while done < kills:
+        process, before, runs = start(folder, "killed", "--jobs", "2"), 0, runs + 1
+        while done < kills and process.poll() is None:
+            time.sleep(rng.uniform(0.0, 1.0))
+            workers, now = children(process.pid), made(folder, "killed")
+            if workers and before + 2 <= now < count - 2:
+                os.kill(rng.choice(workers), signal.SIGKILL)
+                done, before = done + 1, now
+        report, _ = finish(process)
+        failed += report.get("failed", [0])
+        wrong += differing(folder, "killed", count)
     left = len(list(folder.glob(".*")))
     return (
-        f"{done} kills of processes in one run: failed frames {report.get('failed')}, "
-        f"frames that differ {differing(folder, 'killed', count)}, files left over {left}"
+        f"{done} kills of processes in {runs} runs: failed frames {failed}, frames that differ {wrong}, "
+        f"files left over {left}"
     )
 
 
@@ -160,24 +176,29 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.P
 
 def kill_cluster(folder: Path, count: int, kills: int, rng: random.Random) -> str:
     """Kill a worker of three and the scheduler in turn; the same command goes on with the next cluster."""
-    done, runs, said = {"worker": 0, "scheduler": 0}, 0, set()
-    while made(folder, "there") < count:
+    done, runs, wrong, said = {"worker": 0, "scheduler": 0}, 0, 0, set()
+    while min(done.values()) < kills:
         runs += 1
         with cluster(folder, 3) as (address, (scheduler, first, *_)):
             before = made(folder, "there")
             process = start(folder, "there", "--scheduler", address)
             for name, victim in (("worker", first), ("scheduler", scheduler)):
-                while process.poll() is None and made(folder, "there") < min(before + 1 + done["scheduler"], count):
-                    time.sleep(0.1)
-                if sum(done.values()) < kills and process.poll() is None:
-                    time.sleep(rng.uniform(0.0, 1.0))
+                while process.poll() is None and made(folder, "there") <= before:
+                    time.sleep(0.02)
+                time.sleep(rng.uniform(0.0, 0.5))
+                if done[name] < kills and process.poll() is None:
                     victim.kill()
                     done[name] += 1
+                before = made(folder, "there")
             _, err = finish(process)
             said.add(err)
+        if made(folder, "there") == count:
+            wrong += differing(folder, "there", count)
+    # What is still missing is made without a cluster.
+    finish(start(folder, "there"))
     return (
         f"{done['worker']} kills of cluster workers and {done['scheduler']} of the scheduler in {runs} runs of the "
-        f"same command: frames that differ {differing(folder, 'there', count)}; "
+        f"same command: frames that differ {wrong + differing(folder, 'there', count)}; "
         f"said: {' / '.join(sorted(filter(None, said)))}"
     )
 
@@ -213,6 +234,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--width", type=int, default=512)
+    parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -220,10 +242,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         draw_shot(folder, arguments.frames, arguments.width)
-        lines, seconds = efficiency(folder, arguments.frames)
+        lines, seconds = efficiency(folder, arguments.frames, arguments.rounds)
         print("\n".join(lines), flush=True)
         for kill in (kill_processes, kill_cluster):
-            lines.append(kill(folder, arguments.frames, arguments.kills // 2, rng))
+            lines.append(kill(folder, arguments.frames, arguments.kills, rng))
             print(lines[-1], flush=True)
     lines += simulated(seconds, arguments.width)
     (RESULTS / "farm.txt").write_text("\n".join(lines) + "\n")

@@ -6,23 +6,21 @@ Workers only compute. A task whose worker dies is computed again by another; res
 from __future__ import annotations
 
 import logging
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import islice
 from typing import Any, Protocol, TypeVar
 
-from joblib.externals.loky import ProcessPoolExecutor
-from joblib.externals.loky.process_executor import BrokenProcessPool, ShutdownExecutorError
 from threadpoolctl import threadpool_limits
 
 from spreadlets.errors import StoppedError, WorkerLostError
-from spreadlets.garbage import collect_rarely
 from spreadlets.packages import optional_package
+from spreadlets.processes import Lane
 from spreadlets.version import __version__
 
 CONNECT_S = 10.0
@@ -32,18 +30,13 @@ RECONNECT_S = 30.0
 """How long a connection may be lost before the cluster counts as lost, s."""
 
 WATCH_S = 1.0
-"""How often to look whether a parent process or a cluster is still there, s."""
+"""How often to look whether a cluster is still there, s."""
 
 RETRY_S = 0.1
 """How long to wait before a result that did not arrive is asked for again, s."""
 
 WORKERLESS_S = 60.0
 """How long a cluster may be without any worker before the work stops, s: a new one may be on its way."""
-
-ATTEMPTS = 3
-"""How many processes a task may cost: what kills three is no chance. Dask's own limit is about the same."""
-
-DIED = f"{ATTEMPTS} processes died on it: they were killed, or ran out of memory (fewer jobs need less)"
 
 TASKS_PER_THREAD = 4
 """Tasks that a cluster is given at a time, for each of its threads: none waits, and few are done in vain."""
@@ -134,8 +127,9 @@ class _Processes:
         results: queue.SimpleQueue[tuple[Task, Result | Exception]] = queue.SimpleQueue()
         for task in tasks:
             waiting.put((task, 1))
-        lanes = [_Lane(self._jobs) for _ in range(min(self._jobs, len(tasks)))]
-        threads = [threading.Thread(target=lane.work, args=(function, waiting, results), daemon=True) for lane in lanes]
+        lanes = [Lane() for _ in range(min(self._jobs, len(tasks)))]
+        here = partial(_run_here, self._jobs, function)
+        threads = [threading.Thread(target=lane.work, args=(here, waiting, results), daemon=True) for lane in lanes]
         for thread in threads:
             thread.start()
         try:
@@ -148,54 +142,10 @@ class _Processes:
                 thread.join()
 
 
-class _Lane:
-    """One process, replaced when it dies, and the thread of this one that feeds it."""
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
-        self._process: ProcessPoolExecutor | None = None
-        self._lock = threading.Lock()
-        self._ended = False
-
-    def work(self, function: Callable[[Any], Any], waiting: Any, results: Any) -> None:
-        """Compute tasks until none waits, or the end is called for; one that its process died on waits again."""
-        while not self._ended:
-            try:
-                task, attempt = waiting.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                results.put((task, self._computed(function, task)))
-            except (BrokenProcessPool, ShutdownExecutorError):
-                self._process = None
-                if attempt < ATTEMPTS:
-                    waiting.put((task, attempt + 1))
-                else:
-                    results.put((task, WorkerLostError(DIED)))
-
-    def end(self) -> None:
-        """End the process, whatever it does."""
-        with self._lock:
-            self._ended = True
-            if self._process is not None:
-                self._process.shutdown(wait=True, kill_workers=True)
-
-    def _computed(self, function: Callable[[Any], Any], task: Any) -> Any:
-        with self._lock:
-            if self._ended:
-                raise ShutdownExecutorError
-            self._process = self._process or ProcessPoolExecutor(1)
-            future = self._process.submit(_run_here, os.getpid(), self._jobs, function, task)
-        return future.result()
-
-
-def _run_here(parent: int, jobs: int, function: Callable[[Task], Result], task: Task) -> Result | Exception:
-    """Compute a task with this process's share of the threads; a process whose parent is gone ends itself."""
-    if not any(thread.name == _leave_with.__name__ for thread in threading.enumerate()):
-        collect_rarely()
-        threading.Thread(target=_leave_with, args=(parent,), name=_leave_with.__name__, daemon=True).start()
+def _run_here(jobs: int, function: Callable[[Task], Result], task: Task) -> Result:
+    """Compute a task with this process's share of the threads."""
     with _threads(jobs):
-        return _result_of(function, task)
+        return function(task)
 
 
 @contextmanager
@@ -206,12 +156,6 @@ def _threads(jobs: int, most: int | None = None) -> Iterator[None]:
     threads = max(min(thread_count(), most or thread_count()) // jobs, 1)
     with limit_threads(threads), threadpool_limits(threads):
         yield
-
-
-def _leave_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(WATCH_S)
-    os._exit(1)
 
 
 # --- A cluster -----------------------------------------------------------------------------------------------------

@@ -139,11 +139,15 @@ def test_a_killed_build_leaves_a_lock_that_holds_nobody_up(reference, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
+def end_this_process(unit):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_a_unit_that_kills_every_worker_is_one_error_and_loses_nothing(reference, tmp_path, monkeypatch):
     with pytest.raises(Stop):
         build(tmp_path / "a.h5", progress=stop_after(5))
     with monkeypatch.context() as patched:
-        patched.setattr("spreadlets.workers._run_here", lambda *arguments: os.kill(os.getpid(), signal.SIGKILL))
+        patched.setattr("spreadlets.precompute.build.build.build_unit", end_this_process)
         with pytest.raises(BuildStoppedError, match="cell .*: 3 processes died on it.*same command goes on"):
             build(tmp_path / "a.h5", jobs=2)
     assert len(list((tmp_path / "a.h5.parts").glob("*.part"))) == 5

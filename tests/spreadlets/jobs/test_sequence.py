@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spreadlets import workers
+from spreadlets import processes
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidParameterError, option, options_spelled
 from spreadlets.files.atomic import atomic_path
 from spreadlets.jobs.job import Job
@@ -102,7 +102,7 @@ def test_a_frame_whose_process_dies_is_made_again_and_one_that_kills_them_all_is
     report = run_sequence(copy("a", "kills once", "c", "kills"), [1, 2, 3, 4], jobs=2)
     assert outputs(tmp_path) == ["out.1.exr", "out.2.exr", "out.3.exr"] and report["failed"] == [4]
     assert not list(tmp_path.glob(".*"))
-    assert f"{workers.ATTEMPTS} processes died on it" in report["frames"][3]["error"]
+    assert f"{processes.ATTEMPTS} processes died on it" in report["frames"][3]["error"]
     assert all(entry["process"] != os.getpid() for entry in report["frames"][:3])
 
 
