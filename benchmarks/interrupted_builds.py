@@ -196,7 +196,9 @@ def read_only(folder: Path, reference: Path) -> list[str]:
 
 def children(pid: int) -> list[int]:
     found = subprocess.run(["ps", "--ppid", str(pid), "-o", "pid=,args="], capture_output=True, text=True, check=False)
-    return [int(line.split()[0]) for line in found.stdout.splitlines() if "spreadlets.processes" in line or "loky" in line]
+    return [
+        int(line.split()[0]) for line in found.stdout.splitlines() if "spreadlets.processes" in line or "loky" in line
+    ]
 
 
 def dead_worker(folder: Path, reference: Path) -> list[str]:
