@@ -17,9 +17,12 @@ import numpy as np
 from spreadlets.arrays import DoubleArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.trace.line_sample import (
+    RAYS_PER_PIXEL,
     Segments,
     Tracer,
     lattice_symmetric,
+    lit_parts,
+    moving_chords,
     point_symmetric,
     polylines,
     tent,
@@ -39,6 +42,9 @@ N_NODES = 65
 
 N_TIMES = 4097
 """Nodes of the shutter's distribution function."""
+
+STRAIGHT_RAYS_PER_PIXEL = 256
+"""Deposits for each pixel of a PSF whose lines are integrated along themselves and their path: less noise is left."""
 
 MAX_SPHERICAL = 0.45
 """Spherical aberration at which the rim is nearly a caustic; beyond, rays would overtake it."""
@@ -183,36 +189,96 @@ def shutter_times(u: DoubleArray, curve: Sequence[float] | None) -> DoubleArray:
 
 
 def tracer(model: PsfModel, side: int) -> Tracer:
-    """Return what traces a model with an aperture of its own behind (1) or in front (-1) of the focus."""
+    """Return what traces a model with an aperture of its own behind (1) or in front (-1) of the focus.
+
+    Without spherical aberration, straight lines across the aperture have straight images, and an even shutter moves
+    them evenly: then every line is integrated along both, as a round lens's are.
+    """
     aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
     curve = model.settings["shutter_curve"]
     moves = model.has_direction
+    straight = not aperture.spherical_aberration and not (moves and curve)
 
     def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
-        # Place nodes along a line across the pupil.
-        line_angle = angle if moves else LINE_ANGLE
-        along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * points[:, :1] - 1.0
-        u = along * math.cos(line_angle) - across * math.sin(line_angle)
-        v = along * math.sin(line_angle) + across * math.cos(line_angle)
-        # Sample the CoC radius, and scale the aperture's image by it.
-        radius = tent(points[:, 1:2], *box[0])
-        x, y = (radius * part for part in aperture.image(u, v, side))
-        # Sample direction, length and time, and move the image along its path.
+        # Sample the CoC radius, and the path's direction and length.
+        radius = tent(points[:, 1], *box[0])
+        heading, path = np.full(len(points), LINE_ANGLE), np.zeros(len(points))
         if moves:
-            heading = tent(points[:, 3:4], angle - angle_half_width, angle + angle_half_width)
-            way = tent(points[:, 2:3], *box[1]) * shutter_times(points[:, 4:5], curve)
-            x, y = x + way * np.cos(heading), y + way * np.sin(heading)
-        return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(u, v))
+            heading = tent(points[:, 3], angle - angle_half_width, angle + angle_half_width)
+            path = tent(points[:, 2], *box[1])
+        if straight:
+            return _straight_chords(aperture, points[:, 0], radius * side, path, heading)
+        times = shutter_times(points[:, 4], curve) if moves else np.zeros(len(points))
+        return _curved_chords(
+            aperture, points[:, 0], radius, side, (path * times, heading), angle if moves else LINE_ANGLE
+        )
 
-    n_dimensions = 5 if moves else 2
+    n_dimensions = (4 if straight else 5) if moves else 2
     return Tracer(
         n_dimensions,
         trace,
         lambda box: float(box[0, 1] + (0.5 * box[1, 1] if moves else 0.0)),
         _symmetriser(model),
         segments_per_point=N_NODES,
+        rays_per_pixel=STRAIGHT_RAYS_PER_PIXEL if straight else RAYS_PER_PIXEL,
         generators=GENERATORS[: n_dimensions - 1],
     )
+
+
+def _straight_chords(
+    aperture: Aperture, u: DoubleArray, radius: DoubleArray, path: DoubleArray, heading: DoubleArray
+) -> Segments:
+    """Move the images of lines across the aperture along themselves, each integrated over line and path.
+
+    Parameters
+    ----------
+    u : ndarray of shape (n,), float64
+        Place of the line, in [0, 1].
+    radius : ndarray of shape (n,), float64
+        Of the circle of confusion, px, negative in front of the focus.
+    path, heading : ndarray of shape (n,), float64
+        Length, px, and direction, radians, of the path.
+    """
+    # A line whose image has the path's direction: a squeezed lens turns and shortens it.
+    cos, sin = np.cos(heading) / aperture.squeeze, np.sin(heading)
+    stretch = np.hypot(cos, sin)
+    cos, sin = cos / stretch, sin / stretch
+    # Find where light passes along it.
+    across, along = 2.0 * u - 1.0, np.linspace(-1.0, 1.0, N_NODES)
+    places = (along * cos[:, None] - (across * sin)[:, None], along * sin[:, None] + (across * cos)[:, None])
+    line, begin, end = lit_parts(aperture.clearance(*places))
+    # Move the image of each lit part.
+    middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
+    cos, sin, across, radius, stretch = (each[line] for each in (cos, sin, across, radius, stretch))
+    centre = (aperture.squeeze * radius * (middle * cos - across * sin), radius * (middle * sin + across * cos))
+    return moving_chords(centre, np.abs(radius) * half / stretch, 0.5 * path[line], heading[line], half)
+
+
+def _curved_chords(
+    aperture: Aperture,
+    u: DoubleArray,
+    radius: DoubleArray,
+    side: int,
+    moved: tuple[DoubleArray, DoubleArray],
+    angle: float,
+) -> Segments:
+    """Place the images of lines across the aperture, node by node, each at one time: moved by a length in a direction.
+
+    Parameters
+    ----------
+    u, radius
+        As for `_straight_chords`, the radius without a sign.
+    moved : two ndarrays of shape (n,), float64
+        Length, px, and direction, radians.
+    angle : float
+        Direction of the lines.
+    """
+    along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * u[:, None] - 1.0
+    places = (along * math.cos(angle) - across * math.sin(angle), along * math.sin(angle) + across * math.cos(angle))
+    x, y = (radius[:, None] * part for part in aperture.image(*places, side))
+    way, heading = (each[:, None] for each in moved)
+    x, y = x + way * np.cos(heading), y + way * np.sin(heading)
+    return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(*places))
 
 
 @lru_cache(maxsize=16)

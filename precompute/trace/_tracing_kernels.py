@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.arrays import DoubleArray
+from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.compiled import helper, kernel
 
 
@@ -86,6 +86,42 @@ def cut_lines(
                 start[count, channel] = (last - first) * (low + first * slope)
                 stop[count, channel] = (last - first) * (low + last * slope)
             count += 1
+    return count
+
+
+@kernel
+def lit_runs(clearance: DoubleArray, line: IntArray, first: DoubleArray, last: DoubleArray) -> int:
+    """Find the parts of lines along which the clearance, linear between equally spaced nodes, is above zero.
+
+    Parameters
+    ----------
+    clearance : float64 array of shape (n, K)
+    line : int64 array of shape (n * K,)
+        Its first entries are filled with the line of each part.
+    first, last : float64 arrays of shape (n * K,)
+        Filled with where it begins and ends, from 0 to K - 1.
+
+    Returns
+    -------
+    int
+        Number of parts.
+    """
+    count = 0
+    n_nodes = clearance.shape[1]
+    for row in range(clearance.shape[0]):
+        for k in range(n_nodes):
+            if not clearance[row, k] > 0.0:
+                continue
+            # A part begins between a dark node and a lit one, or at the line's end.
+            if k == 0 or not clearance[row, k - 1] > 0.0:
+                before = clearance[row, k - 1] if k > 0 else 0.0
+                line[count] = row
+                first[count] = k - clearance[row, k] / (clearance[row, k] - before) if k > 0 else 0.0
+            # It ends between a lit node and a dark one.
+            if k == n_nodes - 1 or not clearance[row, k + 1] > 0.0:
+                after = clearance[row, k + 1] if k < n_nodes - 1 else 0.0
+                last[count] = k + clearance[row, k] / (clearance[row, k] - after) if k < n_nodes - 1 else float(k)
+                count += 1
     return count
 
 

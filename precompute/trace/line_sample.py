@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spreadlets.arrays import DoubleArray
-from spreadlets.precompute.trace._tracing_kernels import cut_lines
+from spreadlets.arrays import DoubleArray, IntArray
+from spreadlets.precompute.trace._tracing_kernels import cut_lines, lit_runs
 
 RAYS_PER_PIXEL = 1024
 """Default point-equivalent deposits per pixel of the smallest box along the motion that holds the PSF."""
@@ -119,6 +119,28 @@ def polylines(x: DoubleArray, y: DoubleArray, density: DoubleArray, clearance: D
     return Segments(*(part[:count] for part in found))
 
 
+def lit_parts(clearance: DoubleArray) -> tuple[IntArray, DoubleArray, DoubleArray]:
+    """Find the parts of lines from -1 to 1 along which light passes.
+
+    Parameters
+    ----------
+    clearance : ndarray of shape (n, K), float64
+        Above 0 where light passes, at K equally spaced nodes; between them it is linear.
+
+    Returns
+    -------
+    line : ndarray of shape (m,), int64
+        The line of each part.
+    begin, end : ndarray of shape (m,), float64
+    """
+    n_lines, n_nodes = clearance.shape
+    line = np.empty(n_lines * n_nodes, np.int64)
+    ends = np.empty((2, n_lines * n_nodes))
+    count = lit_runs(clearance, line, *ends)
+    begin, end = 2.0 / (n_nodes - 1) * ends[:, :count] - 1.0
+    return line[:count], begin, end
+
+
 def tent(u: DoubleArray, low: float, high: float) -> DoubleArray:
     """Map uniform numbers to the tent over [low, high]: densest at its middle, zero at its ends.
 
@@ -164,14 +186,39 @@ def lens_chords(u: DoubleArray, radius: DoubleArray, half_path: DoubleArray, ang
     across = np.sin(np.pi * (u - 0.5))
     chord = np.sqrt(np.maximum(1.0 - across**2, 0.0))
     # Energy: the lens area between neighbouring chords; the second factor is d across / d u.
-    energy = chord * chord
-    half_chord = radius * chord
+    centre = -radius * across * np.sin(angle), radius * across * np.cos(angle)
+    return moving_chords(centre, radius * chord, half_path, angle, chord * chord)
+
+
+def moving_chords(
+    centre: tuple[DoubleArray, DoubleArray],
+    half_chord: DoubleArray,
+    half_path: DoubleArray,
+    angle: DoubleArray,
+    energy: DoubleArray,
+) -> Segments:
+    """Move the straight images of chords evenly along themselves.
+
+    Parameters
+    ----------
+    centre : two ndarrays of shape (n,), float64
+        Middle of each chord's image at mid-shutter, x and y, px.
+    half_chord, half_path : ndarray of shape (n,), float64
+        Half the length of the image, and of the path, px.
+    angle : ndarray of shape (n,), float64
+        Direction of both, radians, y down.
+    energy : ndarray of shape (n,), float64
+
+    Returns
+    -------
+    Segments
+        Three per chord, see `lens_chords`.
+    """
     outer, inner = half_chord + half_path, np.abs(half_chord - half_path)
     longer = np.maximum(half_chord, half_path)
     ramp = 0.5 * np.divide(np.minimum(half_chord, half_path), longer, out=np.zeros_like(longer), where=longer > 0.0)
     along = np.stack([-outer, -inner, inner, outer])
-    x = along * np.cos(angle) - radius * across * np.sin(angle)
-    y = along * np.sin(angle) + radius * across * np.cos(angle)
+    x, y = along * np.cos(angle) + centre[0], along * np.sin(angle) + centre[1]
     ends = np.stack([x[:-1], y[:-1], x[1:], y[1:]], axis=-1)
     flat = energy * (1.0 - 2.0 * ramp)
     rise, zero = 2.0 * energy * ramp, np.zeros_like(energy)
