@@ -1,4 +1,4 @@
-"""Memory that is used again: what one layer was drawn in, the next is drawn in, too.
+"""Memory that is used again: what one layer was drawn in, the next is drawn in, too, and the next frame.
 
 Fresh memory costs more than what is then done with it: the system clears each page when it is first touched.
 """
@@ -14,17 +14,29 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_kept: ContextVar[dict[Hashable, npt.NDArray[Any]] | None] = ContextVar("buffers", default=None)
+Buffers = dict[Hashable, npt.NDArray[Any]]
+
+MOST_IDLE_BYTES = 192 << 20
+"""Memory that waits for the next frame, at most: what a frame of some 1024 x 1024 pixels is drawn in."""
+
+_kept: ContextVar[Buffers | None] = ContextVar("buffers", default=None)
+_idle: list[Buffers] = []
 
 
 @contextmanager
 def kept_buffers() -> Iterator[None]:
-    """Let `buffer` use memory again within the enclosed block."""
-    token = _kept.set({})
+    """Let `buffer` use memory again within the enclosed block, and in the next one: no other thread has it meanwhile."""
+    try:
+        kept = _idle.pop()
+    except IndexError:
+        kept = {}
+    token = _kept.set(kept)
     try:
         yield
     finally:
         _kept.reset(token)
+        if not _idle and sum(each.nbytes for each in kept.values()) <= MOST_IDLE_BYTES:
+            _idle.append(kept)
 
 
 def buffer(name: Hashable, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
