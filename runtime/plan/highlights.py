@@ -56,16 +56,19 @@ class Highlights(NamedTuple):
     ----------
     number : list of ndarrays of shape (H, W), int32
         For each set, which of the PSFs is each pixel's; -1 for the others.
+    places : list of ndarrays of shape (n,), int64
+        For each set, the numbers in raster order of the pixels that have one.
     psfs : list of Spreadlet
         Direct points, their rows ascending.
     """
 
     number: list[npt.NDArray[np.int32]]
+    places: list[IntArray]
     psfs: list[Spreadlet]
 
     def dimmed(self, pixel_sets: Sequence[Pixels]) -> list[Pixels]:
         """Return the sets without the colours of highlights; their alpha stays."""
-        return [_dimmed(pixels, number >= 0) for pixels, number in zip(pixel_sets, self.number, strict=True)]
+        return [_dimmed(pixels, at) for pixels, at in zip(pixel_sets, self.places, strict=True)]
 
     def splats(
         self,
@@ -89,9 +92,9 @@ class Highlights(NamedTuple):
             Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
         """
         lights = [
-            _Lights.of(pixels, member, np.where(number < 0, -1, number + first_variant))
-            for pixels, member, number in zip(pixel_sets, members, self.number, strict=True)
-            if (number >= 0).any()
+            _Lights.of(pixels, member, at, number.ravel()[at] + np.int32(first_variant))
+            for pixels, member, at, number in zip(pixel_sets, members, self.places, self.number, strict=True)
+            if len(at)
         ]
         if not lights:
             return []
@@ -123,22 +126,22 @@ def find_highlights(
         Whether the pixels are samples, which may be missing.
     """
     if exact_psf is None:
-        return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [])
+        return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [np.zeros(0, np.int64) for _ in keys], [])
     lights = _lights(pixel_sets, stochastic)
     found = zip(pixel_sets, keys, lights, strict=True)
     codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
-    codes = _from_sources(pixel_sets, keys, codes, lights)
-    used, number = _numbered(codes)
+    alone = _from_sources(pixel_sets, keys, codes, lights)
+    used, number = _numbered(alone, [key.shape for key in keys])
     view = pixel_sets[0].labels.view
     coordinates = _coordinates(used, model, view.frame_shape[1], view.sensor_mm_per_px)
-    return Highlights(number, list(exact_psf(*coordinates)) if len(used) else [])
+    return Highlights(number, [at for at, _ in alone], list(exact_psf(*coordinates)) if len(used) else [])
 
 
-def _dimmed(pixels: Pixels, is_highlight: BoolArray) -> Pixels:
-    if not is_highlight.any():
+def _dimmed(pixels: Pixels, highlights: IntArray) -> Pixels:
+    if not len(highlights):
         return pixels
     radiance = pixels.radiance.copy()
-    radiance[is_highlight, :3] = 0.0
+    radiance.reshape(-1, 4)[highlights, :3] = 0.0
     return pixels._replace(radiance=radiance)
 
 
@@ -153,9 +156,9 @@ class _Lights(NamedTuple):
     """Row and column in the frame, px."""
 
     @classmethod
-    def of(cls, pixels: Pixels, members: Membership, label: npt.NDArray[np.int32]) -> _Lights:
-        """List the pixels of a pass that have a label, in raster order."""
-        at = np.nonzero(label >= 0)
+    def of(cls, pixels: Pixels, members: Membership, chosen: IntArray, label: npt.NDArray[np.int32]) -> _Lights:
+        """List pixels of a pass by their numbers in raster order, with their labels."""
+        at = np.unravel_index(chosen, members.layer.shape)
         weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
         places = pixels.labels.view.places
         place = (np.stack(at, axis=1) if places is None else places.at[at]).astype(np.float32)
@@ -163,7 +166,7 @@ class _Lights(NamedTuple):
             place += pixels.labels.shift[at][:, ::-1]
         radiance = pixels.radiance[at] * weight
         radiance[:, 3] = 0.0
-        return cls(radiance, label[at], members.layer[at], members.farther[at], place)
+        return cls(radiance, label, members.layer[at], members.farther[at], place)
 
     def placed(self, wide: npt.NDArray[np.bool_]) -> _Lights:
         """Split what lies between pixels, bilinearly; wide variants are moved to the next pixel."""
@@ -260,9 +263,12 @@ _light_of_samples = Remembered(partial(_light, stochastic=True))
 
 def _from_sources(
     pixel_sets: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
-) -> list[IntArray]:
-    """Give the edges of lamps the codes of what their light is from, in whichever pass that is drawn."""
-    changed = []
+) -> list[tuple[IntArray, IntArray]]:
+    """Return the highlights of each pass: their numbers in raster order, and their codes.
+
+    The edges of lamps get the codes of what their light is from, in whichever pass that is drawn.
+    """
+    alone = []
     for key, code, light in zip(keys, codes, lights, strict=True):
         at = np.flatnonzero(code != NOT_ALONE)
         # The surfaces of a list have light of their own.
@@ -279,10 +285,8 @@ def _from_sources(
                 weight *= pixels.weight.ravel()[source]
             better = edges & (weight > most) & (known.ravel()[source] != NOT_ALONE)
             most[better], best[better] = weight[better], known.ravel()[source[better]]
-        mended = code.copy() if len(at) else code
-        mended.ravel()[at] = best
-        changed.append(mended)
-    return changed
+        alone.append((at[best != NOT_ALONE], best[best != NOT_ALONE]))
+    return alone
 
 
 def _row_sums(plane: FloatArray) -> FloatArray:
@@ -306,14 +310,14 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -
     return code
 
 
-def _numbered(codes: Sequence[IntArray]) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
+def _numbered(
+    alone: Sequence[tuple[IntArray, IntArray]], shapes: Sequence[tuple[int, ...]]
+) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
     """Return the codes in use, ascending, and the number of each pixel's code among them, -1 if it has none."""
-    places = [np.flatnonzero(code != NOT_ALONE) for code in codes]
-    found = [code.ravel()[at] for code, at in zip(codes, places, strict=True)]
-    used, index = np.unique(np.concatenate(found), return_inverse=True)
+    used, index = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
     numbers = []
-    for code, at in zip(codes, places, strict=True):
-        number = np.full(code.shape, -1, np.int32)
+    for (at, _), shape in zip(alone, shapes, strict=True):
+        number = np.full(shape, -1, np.int32)
         number.ravel()[at], index = index[: len(at)], index[len(at) :]
         numbers.append(number)
     return used, numbers

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import DoubleArray, Image
 from spreadlets.parallel import for_bands
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.plan import _layer_kernels
 from spreadlets.runtime.plan.cuts import Labelled, best_cuts, find_steps
@@ -96,12 +98,20 @@ class Layering:
 
     def members(self, labels: Labels, variant: npt.NDArray[np.int32]) -> Membership:
         """Find the layers of each pixel."""
-        layer = np.zeros(variant.shape, np.int32)
-        farther = np.zeros(variant.shape, np.float32)
+        return Membership(variant, *self._assigned(labels.view.depth))
+
+    @cached_property
+    def _assigned(self) -> Remembered[tuple[npt.NDArray[np.int32], Image]]:
+        """What is hidden is looked for in the same layers as pixels are drawn in."""
+        return Remembered(self._assign)
+
+    def _assign(self, depth: Image) -> tuple[npt.NDArray[np.int32], Image]:
+        """Return the nearer layer, and the share of the next one, of pixels by their depths (H, W)."""
+        layer, farther = np.zeros(depth.shape, np.int32), np.zeros(depth.shape, np.float32)
         if self.cuts:
             transitions = np.array(self.cuts), np.array(self.widths)
-            for_bands(_layer_kernels.assign_layers, len(layer), labels.view.depth, *transitions, layer, farther)
-        return Membership(variant, layer, farther)
+            for_bands(_layer_kernels.assign_layers, len(layer), depth, *transitions, layer, farther)
+        return layer, farther
 
 
 def _range(labelled: Sequence[Labelled]) -> tuple[float, float]:

@@ -185,7 +185,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
             key, _ = _variant_keys(pixels, grid, cell_start)
             # Whether a bright pixel is a highlight is not known yet: it may need either.
             nowhere = np.full(key.shape, -1, np.int32)
-            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key, nowhere, _bright(pixels)))
+            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key.copy(), nowhere, _bright(pixels)))
             variants = [_decode(int(each), cell_start) for each in found[found >= 0]]
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
@@ -282,8 +282,7 @@ def _choose(
     """Choose the PSF of each pixel, and read just those that are in use."""
     # Find the cell, the pose and the scale of each pixel: its variant.
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
-    n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
-    _warn_beyond_range(database.grid, np.concatenate(excess), n_visible)
+    _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
     highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     if shared:
@@ -373,14 +372,14 @@ def _shared_keys(
     apart: npt.NDArray[np.int32],
     limit: float,
 ) -> npt.NDArray[np.int64]:
-    """Return keys after blocks of bright pixels have shared out the cells about their coordinate: see the kernel."""
-    labels, shared = pixels.labels, key.copy()
+    """Let blocks of bright pixels share out the cells about their coordinate, see the kernel; return the same keys."""
+    labels = pixels.labels
     given = _Given.of(labels, coordinates(labels, grid.model), grid, cell_start)
     listed = labels.view.places
     places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at)
     asked = given.coordinate, given.pose, places, given.tables, given.sizes
-    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, apart, shared)
-    return shared
+    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, apart, key)
+    return key
 
 
 def _bright(pixels: Pixels) -> float:
@@ -466,11 +465,14 @@ def _numbered(
     return used + lowest, indices
 
 
-def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], n_visible: int) -> None:
+def _warn_beyond_range(
+    grid: PsfGrid, excess: npt.NDArray[np.float64], keys: Sequence[npt.NDArray[np.int64]]
+) -> None:
     """Say which share of the pixels has a PSF beyond the database's range, if any."""
     beyond = excess[:, 1].sum()
     if not beyond:
         return
+    n_visible = sum(int(np.count_nonzero(key != _plan_kernels.INVISIBLE)) for key in keys)
     limits = ", ".join(f"{axis.name} 0 to {axis.maximum:g} {axis.unit}" for axis in grid.model.axes)
     warnings.warn(
         f"{100.0 * beyond / n_visible:.2f} % of the pixels have a PSF beyond the database's range ({limits}; largest "
@@ -501,11 +503,10 @@ def _point_table(
 ) -> tuple[PointTable, npt.NDArray[np.int32]]:
     """Concatenate the points of streaks, of variants, then the spikes; say which is each one's spike, -1 if none."""
     n_streaks = len(streaks.counts)
-    spike_of = np.full(n_streaks + len(points) + sum(spike.any() for spike in spikes), -1, np.int32)
-    for number, spike in enumerate(spikes, start=n_streaks):
-        if spike.any():
-            spike_of[number] = n_streaks + len(points)
-            points = [*points, (np.zeros((1, 2), np.int32), spike[None], True)]
+    spiked = np.flatnonzero(np.stack(spikes).any(axis=1)) if spikes else np.zeros(0, np.int64)
+    spike_of = np.full(n_streaks + len(points) + len(spiked), -1, np.int32)
+    spike_of[n_streaks + spiked] = n_streaks + len(points) + np.arange(len(spiked))
+    points = [*points, *((np.zeros((1, 2), np.int32), spikes[number][None], True) for number in spiked)]
     counts = [len(offset_rc) for offset_rc, _, _ in points]
     lines = streaks.value if n_streaks else np.zeros((0, n_channels), np.float32)
     return PointTable(
@@ -596,12 +597,16 @@ def _variation(
     """Return the total variation of each variant's PSF without its spike, infinite where it is drawn directly."""
     stored = database.statistics()["total_variation"]
     variation = np.full(table.n_variants, np.inf, np.float32)
-    for number, variant in enumerate(variants, start=n_streaks):
-        if not table.direct[number]:
-            # A PSF stretched by s is lower by s^2 and its outline longer by s.
-            whole = stored[database.cell_start[variant.cell] + variant.pose] / variant.scale
-            # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
-            variation[number] = max(whole - 4.0 * spikes[number - n_streaks].min(), 0.0)
+    sparse = np.flatnonzero(~table.direct[n_streaks : n_streaks + len(variants)])
+    if not len(sparse):
+        return variation
+    chosen = [variants[number] for number in sparse]
+    # A PSF stretched by s is lower by s^2 and its outline longer by s.
+    places = database.cell_start[[each.cell for each in chosen]] + np.array([each.pose for each in chosen])
+    whole = stored[places] / np.array([each.scale for each in chosen], stored.dtype)
+    # A spike has four neighbours. What is stored is the variation of one channel, whichever varies most.
+    least = np.stack([spikes[number] for number in sparse]).min(axis=1)
+    variation[n_streaks + sparse] = np.maximum(whole - 4.0 * least, 0.0)
     return variation
 
 

@@ -204,23 +204,26 @@ def rows_of_points(offset_rc, point_start, reach, base, first):
 
 
 @kernel
-def point_offsets(begin, end, offset_rc, cols, offsets):
-    """Turn offsets into places in flattened images of strides 1, 2 and 4, see `_spread`.
+def point_offsets(begin, end, variants, point_start, offset_rc, cols, offsets):
+    """Turn the offsets of some variants into places in flattened images of strides 1, 2 and 4, see `_spread`.
 
     Parameters
     ----------
+    variants : ndarray of shape (n,), int64
+    point_start : ndarray of shape (n_variants + 1,), int64
     offset_rc : ndarray of shape (n_points, 2), int32
     cols : int
         Columns of the images, a multiple of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
-    offsets : ndarray of shape (3, n_points), int64
+    offsets : ndarray of shape (3, n_points), int32
         Filled, in floats.
     """
-    for p in range(begin, end):
-        row, col = np.int64(offset_rc[p, 0]) * 4 * cols, np.int64(offset_rc[p, 1])
-        offsets[0, p] = row + 4 * col
-        # Shifts and masks take the floor of negative columns, too.
-        offsets[1, p] = row + 4 * ((col & 1) * (cols >> 1) + (col >> 1))
-        offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
+    for i in range(begin, end):
+        for p in range(point_start[variants[i]], point_start[variants[i] + 1]):
+            row, col = np.int64(offset_rc[p, 0]) * 4 * cols, np.int64(offset_rc[p, 1])
+            offsets[0, p] = row + 4 * col
+            # Shifts and masks take the floor of negative columns, too.
+            offsets[1, p] = row + 4 * ((col & 1) * (cols >> 1) + (col >> 1))
+            offsets[2, p] = row + 4 * ((col & 3) * (cols >> 2) + (col >> 2))
 
 
 @helper
@@ -235,7 +238,7 @@ def _runs_near(level, first_row, n_rows, farthest):
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
     colour = load(radiance, source)
-    for p in range(begin, end):
+    for p in range(_U(begin), _U(end)):
         o = _U(target + point_offset[p])
         weight = value[p, 0]
         store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
@@ -244,7 +247,7 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
 @helper(inline="always")
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
-    for p in range(begin, end):
+    for p in range(_U(begin), _U(end)):
         o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 0], value[p, 0], value[p, 0]
         for k in range(_U(0), n, _U(4)):
@@ -254,7 +257,7 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
 @helper(inline="always")
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
-    for p in range(begin, end):
+    for p in range(_U(begin), _U(end)):
         o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
         for k in range(_U(0), n, _U(4)):
@@ -330,7 +333,7 @@ def splat_levels(begin, end, image, levels, offsets, points, value, window, step
         Overwritten; rows and cols are multiples of 4 (`test_canvases_begin_and_end_at_blocks_of_every_stride`).
     levels : tuple of three Levels
         Of strides 1, 2 and 4.
-    offsets : ndarray of shape (3, n_points), int64
+    offsets : ndarray of shape (3, n_points), int32
         See `point_offsets`.
     points : PointRows
     value : ndarray of shape (n_points, 1) or (n_points, 4), float32

@@ -100,16 +100,17 @@ class PointTable:
     @cached_property
     def spans(self) -> Spans:
         """The points of direct variants, those grouped that are neighbours in a row."""
-        row, col = self.offset_rc[np.repeat(self.direct, self.n_points)].T.astype(np.int64)
+        chosen = np.flatnonzero(np.repeat(self.direct, self.n_points))
+        row, col = self.offset_rc[chosen].T
         point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
         breaks = np.ones(len(row), np.bool_)
-        breaks[1:] = (np.diff(row) != 0) | (np.diff(col) != 1)
+        breaks[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)
         breaks[point_start[point_start < len(row)]] = True
         first = np.flatnonzero(breaks)
         start = np.append(first, len(row))
         value = np.empty((len(row), 4), np.float32)
-        value[:] = self.lanes[np.repeat(self.direct, self.n_points)]
-        places = SpanPlaces(row[first], col[first], start)
+        value[:] = self.lanes[chosen]
+        places = SpanPlaces(row[first].astype(np.int64), col[first].astype(np.int64), start)
         return Spans(places, value.reshape(-1), np.searchsorted(first, point_start))
 
     @cached_property

@@ -45,9 +45,11 @@ def splat_laplacian(
     flat = [each for levels in passes for each in levels if len(each.of(group))]
     drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
-    offsets = buffer("offsets", (len(STRIDES), len(table.offset_rc)), np.int64)
-    for_bands(_splat_kernels.point_offsets, len(table.offset_rc), table.offset_rc, canvas.cols, offsets)
-    window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches.max(initial=0)))
+    variants = _variants(flat, group, table)
+    offsets = buffer("offsets", (len(STRIDES), len(table.offset_rc)), np.int32)
+    points = table.point_start, table.offset_rc, canvas.cols, offsets
+    for_bands(_splat_kernels.point_offsets, len(variants), variants, *points)
+    window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches[variants].max(initial=0)))
     image = buffer("laplacian", (canvas.rows // step, pitch // step))
 
     def draw(begin: int, end: int) -> None:
@@ -83,6 +85,14 @@ def sum_rows(image: Image, sums: Image) -> Image:
     """Fill ``sums`` with an image's running sums along rows, and return it: differences along rows integrated."""
     for_bands(_splat_kernels.sum_rows, len(image), image, sums)
     return sums
+
+
+def _variants(sources: Sequence[Runs], group: int, table: PointTable) -> npt.NDArray[np.int64]:
+    """Return the variants that runs of a group have."""
+    is_used = np.zeros(table.n_variants, np.bool_)
+    for each in sources:
+        is_used[each.of(group)[:, _splat_kernels.RUN_VARIANT]] = True
+    return np.flatnonzero(is_used)
 
 
 def _level(source: Runs, group: int, canvas: Canvas) -> Level:
