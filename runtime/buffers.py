@@ -1,53 +1,90 @@
 """Memory that is used again: what one layer was drawn in, the next is drawn in, too, and the next frame.
 
-Fresh memory costs more than what is then done with it: the system clears each page when it is first touched.
+Fresh memory costs more than what is then done with it: the system clears each page when it is first touched. So large
+arrays are lent, and what comes back when nobody has them any more is lent again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+import weakref
+from collections import deque
+from threading import Lock
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Buffers = dict[Hashable, npt.NDArray[Any]]
-
-MOST_IDLE_BYTES = 192 << 20
-"""Memory that waits for the next frame, at most: what a frame of some 1024 x 1024 pixels is drawn in."""
-
-_kept: ContextVar[Buffers | None] = ContextVar("buffers", default=None)
-_idle: list[Buffers] = []
-
-
-@contextmanager
-def kept_buffers() -> Iterator[None]:
-    """Let `buffer` use memory again within the enclosed block, and in the next one: no other thread has it meanwhile."""
-    try:
-        kept = _idle.pop()
-    except IndexError:
-        kept = {}
-    token = _kept.set(kept)
-    try:
-        yield
-    finally:
-        _kept.reset(token)
-        if not _idle and sum(each.nbytes for each in kept.values()) <= MOST_IDLE_BYTES:
-            _idle.append(kept)
+LEAST_BYTES = 1 << 18
+"""Smaller arrays are cheap as they are."""
+MOST_IDLE_BYTES = 96 << 20
+"""Memory that waits to be lent, at most: the canvases of a frame of some 1024 x 1024 pixels."""
+MOST_TOO_LARGE = 4
+"""A piece of memory is lent for arrays of at least its size over this."""
+SIZE_BITS = 4
+"""Leading bits of the size of a piece: arrays that differ little in size take each other's place."""
 
 
-def buffer(name: Hashable, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
-    """Return an array whose values mean nothing.
+class _Loan:
+    """Memory as NumPy takes it: every array that lies in it keeps this alive, and with it the loan."""
 
-    Within `kept_buffers`, it lies where the last one of its name did: that must not be needed any more.
+    def __init__(self, piece: npt.NDArray[np.uint8], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        place = piece.__array_interface__["data"]
+        self.__array_interface__ = {"data": place, "shape": shape, "typestr": dtype.str, "version": 3}
+
+
+class _Pool:
+    """Pieces of memory that nobody has; it may be used from several threads."""
+
+    def __init__(self) -> None:
+        # Appending and popping need no lock, which a piece that comes back at any moment could not wait for.
+        self._back: deque[npt.NDArray[np.uint8]] = deque()
+        self._idle: list[npt.NDArray[np.uint8]] = []
+        self._lock = Lock()
+
+    def lend(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+        """Return an array in a piece of memory, which comes back with the last array in it."""
+        piece = self._piece(math.prod(shape) * dtype.itemsize)
+        loan = _Loan(piece, shape, dtype)
+        weakref.finalize(loan, self._take_back, piece).atexit = False
+        return np.asarray(loan)
+
+    def _take_back(self, piece: npt.NDArray[np.uint8]) -> None:
+        self._back.append(piece)
+        if self._lock.acquire(blocking=False):
+            try:
+                self._sort(MOST_IDLE_BYTES)
+            finally:
+                self._lock.release()
+
+    def _piece(self, n_bytes: int) -> npt.NDArray[np.uint8]:
+        with self._lock:
+            self._sort(MOST_IDLE_BYTES)
+            for number, each in enumerate(self._idle):
+                if n_bytes <= len(each) <= MOST_TOO_LARGE * n_bytes:
+                    return self._idle.pop(number)
+            # What waits in vain makes room.
+            self._sort(max(MOST_IDLE_BYTES - n_bytes, 0))
+        step = 1 << max(n_bytes.bit_length() - SIZE_BITS, 0)
+        return np.empty(-(-n_bytes // step) * step, np.uint8)
+
+    def _sort(self, most_bytes: int) -> None:
+        """Sort what has come back among the idle pieces by size, and let the smallest go while there is too much."""
+        while self._back:
+            self._idle.append(self._back.popleft())
+        self._idle.sort(key=len)
+        while sum(map(len, self._idle)) > most_bytes:
+            self._idle.pop(0)
+
+
+_pool = _Pool()
+
+
+def buffer(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
+    """Return an array whose values mean nothing, in memory that may have been used before.
 
     Parameters
     ----------
-    name : hashable
-        Of one use; its arrays share their type.
     shape : tuple of int
     dtype : data type
 
@@ -58,18 +95,14 @@ def buffer(name: Hashable, shape: tuple[int, ...], dtype: npt.DTypeLike = np.flo
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from spreadlets.runtime.buffers import buffer, kept_buffers
-    >>> with kept_buffers():
-    ...     first, second = buffer("canvas", (4, 6)), buffer("canvas", (2, 3))
-    >>> np.shares_memory(first, second)
+    >>> from spreadlets.runtime.buffers import buffer
+    >>> canvas = buffer((512, 512))
+    >>> place = canvas.ctypes.data
+    >>> del canvas
+    >>> buffer((512, 512)).ctypes.data == place
     True
     """
-    kept, size = _kept.get(), math.prod(shape)
-    if kept is None:
-        return np.empty(shape, dtype)
-    if name not in kept or kept[name].size < size:
-        # A smaller one goes before a larger one comes.
-        kept.pop(name, None)
-        kept[name] = np.empty(size, dtype)
-    return kept[name][:size].reshape(shape)
+    kind = np.dtype(dtype)
+    if math.prod(shape) * kind.itemsize < LEAST_BYTES:
+        return np.empty(shape, kind)
+    return _pool.lend(shape, kind)

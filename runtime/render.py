@@ -14,7 +14,7 @@ from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
-from spreadlets.runtime.buffers import buffer, kept_buffers
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, Visibility
@@ -357,7 +357,6 @@ def _clamped_samples(pixel_sets: list[Pixels], factor: float) -> tuple[list[Pixe
     return [each._replace(radiance=colour) for each, colour in zip(pixel_sets, colours, strict=True)], count
 
 
-@kept_buffers()
 def _add_plan(
     image: Image, plan: Plan, visibility: Visibility | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
 ) -> None:
@@ -381,6 +380,8 @@ def _add_plan(
             least = LEAST_SEEN if visibility is None else visibility.least
             seen = NOTHING if seen is None else seen
             add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
+            # The next layer is drawn where this one was.
+            del padded, seen
         tally.add_canvas(covered, image.shape)
     tally.add_plan(plan, len(used))
 
@@ -409,7 +410,7 @@ def _splat_layer(
         if len(drawn) == 1 and drawn[0][1] == 1 and union([shown, drawn[0][0]]) == drawn[0][0]:
             shown, _, padded = drawn[0]
         else:
-            padded = buffer("canvas", (shown.rows, shown.cols, 4))
+            padded = buffer((shown.rows, shown.cols, 4))
             padded[:] = 0.0
             for canvas, step, image in drawn:
                 add_to_canvas(padded, shown, image, canvas, step)
@@ -427,7 +428,7 @@ def _integrated(
     with clock.step("splat"):
         laplacian = splat_laplacian(canvas, sources, GROUPS * number + group, plan.table, STRIDES[group])
     with clock.step("integrate"):
-        return solver(laplacian, buffer(("image", group), laplacian.shape))
+        return solver(laplacian, buffer(laplacian.shape))
 
 
 def _filtered(

@@ -67,11 +67,11 @@ def add_layer(
         for_bands(_fill_kernels.add_layer, len(image), image, *sums)
         return
     odds = [_odd(corner, 0)]
-    levels = [_half_size(image, odds[0], 0)]
+    levels = [_half_size(image, odds[0])]
     for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, odds[0], levels[0])
     while max(levels[-1].shape[:2]) > 1:
         odds.append(_odd(corner, len(levels)))
-        levels.append(_half_size(levels[-1], odds[-1], len(levels)))
+        levels.append(_half_size(levels[-1], odds[-1]))
         for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], odds[-1], levels[-1])
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
@@ -86,10 +86,10 @@ def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:
     return row, column
 
 
-def _half_size(image: Image, odd: tuple[int, int], level: int) -> Image:
+def _half_size(image: Image, odd: tuple[int, int]) -> Image:
     """Return room, for a level of the pyramid, for sums and their measure over 2 x 2 pixels of an image."""
     height, width = (size + first for size, first in zip(image.shape[:2], odd, strict=True))
-    return buffer(("fill", level), ((height + 1) // 2, (width + 1) // 2, 5))
+    return buffer(((height + 1) // 2, (width + 1) // 2, 5))
 
 
 def is_opaque(radiance: Image) -> bool:

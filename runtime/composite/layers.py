@@ -117,7 +117,7 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
         Of the layer.
     """
     # Sum what nearer layers cover, and take off what they and this one do.
-    nearer, beyond = both = buffer("cover", (2, *cover.known.shape))
+    nearer, beyond = both = buffer((2, *cover.known.shape))
     both[:] = 0.0
     for part in cover.seen:
         _visibility_kernels.add_listed_cover(*part, number, nearer, beyond)

@@ -53,7 +53,7 @@ def enlarged(small: Image, shape: tuple[int, ...], factor: int) -> Image:
     """Return the image of a shape whose blocks have these means, interpolated linearly."""
     if factor == 1:
         return small
-    image = buffer("enlarged", shape)
+    image = buffer(shape)
     for_bands(_sweep_kernels.enlarge, len(image), small, factor, image)
     return image
 
@@ -63,7 +63,7 @@ def _blurred(image: Image, radius: float, path: tuple[float, float]) -> Image:
     first, last = sweep_spans(radius, path)
     if len(first) == 1 and first[0] == last[0]:
         return image
-    sums = buffer("sums", (image.shape[0], image.shape[1] + 1), np.int32)
+    sums = buffer((image.shape[0], image.shape[1] + 1), np.int32)
     blurred = np.empty_like(image)
     for_bands(_sweep_kernels.sum_rows, len(sums), image, sums)
     for_bands(_sweep_kernels.sum_spans, len(image), sums, first, last, blurred)

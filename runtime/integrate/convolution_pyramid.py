@@ -448,9 +448,7 @@ class _LevelSolver:
         # Allocate source and answer of each coarser level.
         self.shapes = _level_shapes(height, width)
         flat = [(rows, cols * n_channels) for rows, cols in self.shapes]
-        self.sources, self.answers = (
-            [buffer((name, level), shape) for level, shape in enumerate(flat[1:])] for name in ("sources", "answers")
-        )
+        self.sources, self.answers = ([buffer(shape) for shape in flat[1:]] for _ in range(2))
         self.images: list[Rows] = []
         self.nothing = np.empty((0, 0), np.float32)
         # Allocate what rows and bands report: sums and largest magnitudes.
@@ -467,8 +465,8 @@ class _LevelSolver:
         most_steps = max(len(weights) for weights in self.weights)
         overlap = 2 * (most_steps + kernels.INTERPOLATION_REACH) + 8
         block = (kernels.BLOCK_PIXELS + overlap) * n_channels
-        self.relax_scratch = buffer("relax", (threads, 8 + 3 * most_steps, block))
-        self.coarsen_scratch = buffer("coarsen", (threads, 12, flat[0][1] + 4 * n_channels))
+        self.relax_scratch = buffer((threads, 8 + 3 * most_steps, block))
+        self.coarsen_scratch = buffer((threads, 12, flat[0][1] + 4 * n_channels))
 
     def solve(self, source: Image, out: Image, cycles: int, tolerance: float | None) -> IntegrationReport:
         rows, out_rows = _rows(source), _rows(out)
@@ -502,9 +500,7 @@ class _LevelSolver:
         """One of two images on the whole padded domain; only the cycles need them."""
         if len(self.images) <= index:
             height, width = self.shapes[0]
-            self.images.append(
-                buffer("canvas" if not self.images else "second canvas", (height, width * self.key[1][2]))
-            )
+            self.images.append(buffer((height, width * self.key[1][2])))
         return self.images[index]
 
     def _bands(self, level: int) -> slice:

@@ -135,7 +135,6 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
         begin, end = part * COLUMNS, min(part * COLUMNS + COLUMNS, width)
         # Begin the sliding sums of the group and its surroundings above the first row.
         total, known, n_cols = np.zeros((2, end - begin)), np.zeros((2, end - begin)), np.empty((2, end - begin))
-        mean = np.empty(end - begin)
         for k in range(2):
             for col in range(begin, end):
                 n_cols[k, col - begin] = _pixels_about(col, width, half[k])
@@ -155,18 +154,21 @@ def standing_out(first, last, light, sums, counts, half, limits, excess, level):
                     for i in range(end - begin):
                         known[k, i] = n_rows * n_cols[k, i]
             least = least_known * _pixels_about(row, height, half[1])
-            # Find the means of the surroundings outside the groups, without branches.
-            for i in range(end - begin):
-                n_around, around = known[1, i] - known[0, i], max(total[1, i] - total[0, i], 0.0)
-                mean[i] = around / n_around if n_around > least * n_cols[1, i] else math.inf
-                level[row, begin + i] = mean[i]
-                excess[row, begin + i] = 0.0
-            # Compare the pixels with them.
-            for i in range(end - begin):
-                own = np.float64(light[row, begin + i])
-                if own > ratio * mean[i]:
-                    more = max(total[0, i] - known[0, i] * mean[i], own - mean[i])
-                    excess[row, begin + i] = more * np.float64(display_slope(np.float32(mean[i])))
+            for col in range(begin, end):
+                i = col - begin
+                # Compare the pixel with the mean of the surroundings outside the group.
+                own, n_around, around = (
+                    np.float64(light[row, col]),
+                    known[1, i] - known[0, i],
+                    total[1, i] - total[0, i],
+                )
+                excess[row, col], level[row, col] = 0.0, math.inf
+                if n_around > least * n_cols[1, i]:
+                    mean = max(around, 0.0) / n_around
+                    level[row, col] = mean
+                    if own > ratio * mean:
+                        more = max(total[0, i] - known[0, i] * mean, own - mean)
+                        excess[row, col] = more * np.float64(display_slope(np.float32(mean)))
 
 
 @kernel

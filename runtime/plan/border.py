@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.plan import _border_kernels
 from spreadlets.runtime.plan._border_kernels import Colours, Weighted
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
@@ -59,7 +60,7 @@ def extended_pass(
         return frame
     # Repeat labels and weights outwards.
     shape = top + height + bottom, left + width + right
-    extended = SplatPass((-top, -left), np.empty((*shape, 4), np.float32), np.empty(shape, np.int32))
+    extended = SplatPass((-top, -left), buffer((*shape, 4)), buffer(shape, np.int32))
     nothing = np.zeros((0, 4), np.float32)
     for_bands(
         _border_kernels.extend_frame,

@@ -465,9 +465,7 @@ def _numbered(
     return used + lowest, indices
 
 
-def _warn_beyond_range(
-    grid: PsfGrid, excess: npt.NDArray[np.float64], keys: Sequence[npt.NDArray[np.int64]]
-) -> None:
+def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], keys: Sequence[npt.NDArray[np.int64]]) -> None:
     """Say which share of the pixels has a PSF beyond the database's range, if any."""
     beyond = excess[:, 1].sum()
     if not beyond:

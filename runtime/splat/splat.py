@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from threading import get_ident
 
 import numpy as np
 import numpy.typing as npt
@@ -46,14 +45,14 @@ def splat_laplacian(
     drawn = tuple(_joined([each for each in flat if each.source.stride == stride], group, canvas) for stride in STRIDES)
     pitch = 4 * canvas.cols
     variants = _variants(flat, group, table)
-    offsets = buffer("offsets", (len(STRIDES), len(table.offset_rc)), np.int32)
+    offsets = buffer((len(STRIDES), len(table.offset_rc)), np.int32)
     points = table.point_start, table.offset_rc, canvas.cols, offsets
     for_bands(_splat_kernels.point_offsets, len(variants), variants, *points)
     window = Window(canvas.top, canvas.left, canvas.cols, int(table.reaches[variants].max(initial=0)))
-    image = buffer("laplacian", (canvas.rows // step, pitch // step))
+    image = buffer((canvas.rows // step, pitch // step))
 
     def draw(begin: int, end: int) -> None:
-        scratch = buffer(("scratch", get_ident()), (3, BAND_ROWS + step + 3, pitch))
+        scratch = buffer((3, BAND_ROWS + step + 3, pitch))
         points = offsets, table.rows, table.lanes
         _splat_kernels.splat_levels(begin, end, image, drawn, *points, window, step, BAND_ROWS, scratch)
 
