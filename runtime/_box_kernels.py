@@ -40,14 +40,18 @@ def box_columns(begin, end, image, half, out):
         # Sum the boxes about the row above the first, then slide them down.
         total[:] = 0.0
         for row in range(min(half, height)):
-            for col in range(left, right):
-                total[col - left] += image[row, col]
+            line = image[row][left:right]
+            for i in range(line.shape[0]):
+                total[i] += line[i]
         for row in range(height):
+            mean = out[row][left:right]
             if row + half < height:
-                for col in range(left, right):
-                    total[col - left] += image[row + half, col]
-            for col in range(left, right):
-                out[row, col] = total[col - left] * scale
+                line = image[row + half][left:right]
+                for i in range(line.shape[0]):
+                    total[i] += line[i]
+            for i in range(mean.shape[0]):
+                mean[i] = total[i] * scale
             if row >= half:
-                for col in range(left, right):
-                    total[col - left] -= image[row - half, col]
+                line = image[row - half][left:right]
+                for i in range(line.shape[0]):
+                    total[i] -= line[i]

@@ -188,6 +188,8 @@ def _drawn_by_depth(
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)
         plans = [plan, *(plan.coloured(each) for each in others)]
         visibility = ShareBeyond(first, plan, divided.known, divided.n_hidden) if plan.n_layers > 1 else None
+        # What the pixels were labelled with is not needed any more.
+        del divided, first, others
     # Draw all frames by that plan.
     images = [np.zeros((*shown[0].shape, 4), np.float32) for _ in shown]
     _add_plans(images, plans, visibility, options, clock, tally, closed=closed)

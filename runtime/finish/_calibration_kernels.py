@@ -58,15 +58,18 @@ def block_sums(begin, end, image, total, count, floor, side, sums):
 def apply_gain(begin, end, image, gain, side):
     """Multiply R, G and B of an image (H, W, 4), in place, by the gains (rows, cols, 3) of blocks, bilinearly."""
     rows, cols = gain.shape[:2]
+    line = np.empty((cols, 3))
     for row in range(begin, end):
+        # Interpolate down the columns of blocks, then along the row.
         y = min(max((row + 0.5) / side - 0.5, 0.0), rows - 1.0)
         top = min(int(y), max(rows - 2, 0))
-        below = min(top + 1, rows - 1)
+        below, down = min(top + 1, rows - 1), y - top
+        for j in range(cols):
+            for c in range(3):
+                line[j, c] = gain[top, j, c] + down * (gain[below, j, c] - gain[top, j, c])
         for col in range(image.shape[1]):
             x = min(max((col + 0.5) / side - 0.5, 0.0), cols - 1.0)
             left = min(int(x), max(cols - 2, 0))
-            right = min(left + 1, cols - 1)
+            right, across = min(left + 1, cols - 1), x - left
             for c in range(3):
-                upper = gain[top, left, c] + (x - left) * (gain[top, right, c] - gain[top, left, c])
-                lower = gain[below, left, c] + (x - left) * (gain[below, right, c] - gain[below, left, c])
-                image[row, col, c] *= np.float32(upper + (y - top) * (lower - upper))
+                image[row, col, c] *= np.float32(line[left, c] + across * (line[right, c] - line[left, c]))

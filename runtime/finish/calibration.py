@@ -127,7 +127,9 @@ def _around(planes: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.flo
         return _blurred(planes, width)
     rows, cols = planes.shape[:2]
     padded = np.pad(planes, ((0, -rows % step), (0, -cols % step), (0, 0)), mode="edge")
-    means = padded.reshape(len(padded) // step, step, padded.shape[1] // step, step, 3).mean(axis=(1, 3))
+    # Along the columns first: what lies side by side in memory is then added at once.
+    lines = padded.reshape(-1, step, 3 * padded.shape[1]).sum(axis=1)
+    means = lines.reshape(len(lines), -1, step, 3).sum(axis=2) / step**2
     blurred = _blurred(means, width / step)
     return np.repeat(np.repeat(blurred, step, axis=0), step, axis=1)[:rows, :cols]
 
