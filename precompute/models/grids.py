@@ -10,7 +10,7 @@ from spreadlets.models import option_names
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.model import PsfGrid, get_model
 
-ALGORITHM_VERSION = 5
+ALGORITHM_VERSION = 6
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 
