@@ -19,7 +19,7 @@ from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _calibration_kernels
 from spreadlets.scene.camera import ThinLens
-from spreadlets.scene.samples import SampleBuffer
+from spreadlets.scene.samples import SampleBuffer, valid_values
 
 SCALES = (16.0, 8.0, 4.0, 2.0)
 """Standard deviations of the windows, px."""
@@ -51,15 +51,16 @@ TIME_OFFSET = 0.1
 
 def takes_whole_lens(samples: SampleBuffer, camera: ThinLens) -> bool:
     """Tell whether the samples are spread over lens and shutter, so that their mean is the blurred image."""
-    valid = samples.valid
-    if not valid.any():
+    if not samples.valid.any():
         return False
-    u, v = np.moveaxis(samples.lens_uv[valid], 1, 0)
+    u, v = valid_values(samples.lens_uv, samples.valid).T
     spread, middle = _mean(u * u) + _mean(v * v), (_mean(u), _mean(v))
     fits = LENS_SPREAD[0] <= spread <= LENS_SPREAD[1] and max(map(abs, middle)) <= LENS_OFFSET
     if not fits or not camera.shutter_duration or not samples.motion.any():
         return fits
-    time = (samples.time[valid] - np.float32(camera.shutter_centre)) / np.float32(camera.shutter_duration)
+    time = (valid_values(samples.time, samples.valid) - np.float32(camera.shutter_centre)) / np.float32(
+        camera.shutter_duration
+    )
     variance = 12.0 * (_mean(time * time) - _mean(time) ** 2)
     return abs(_mean(time)) <= TIME_OFFSET and TIME_SPREAD[0] <= variance <= TIME_SPREAD[1]
 

@@ -15,6 +15,8 @@ STEPS_PER_PX = 2
 MIDDLES_PER_PX = 4
 N_MIDDLES = MIDDLES_PER_PX + 1
 """The middle of a path, which lies within half a pixel of a pixel's centre, is rounded to quarters."""
+FIRST_ROOM = 1 << 12
+"""Pixels that there is room for at first in a list."""
 SAMPLES_PER_PX = 8
 """Moments of a path within a pixel; each is split over four pixels, bilinearly."""
 
@@ -81,8 +83,8 @@ def _streak(code, openness):
 
 
 @kernel
-def draw_own(begin, end, code, openness, start, offset_rc, value):
-    """Count the pixels of streaks and capsules, or list them with their shares of the light, by row.
+def draw_own(begin, end, code, openness, counts):
+    """List the pixels of streaks and capsules with their shares of the light, by row.
 
     Parameters
     ----------
@@ -90,20 +92,29 @@ def draw_own(begin, end, code, openness, start, offset_rc, value):
         See `streak_code`; of a capsule one more than twice its `spreadlets.psf._capsule_kernels.thin_code`.
     openness : ndarray of shape (m,), float64
         How far the shutter is open, at equally spaced times from opening to closing.
-    start : ndarray of shape (n,), int64
-        Where the pixels of each PSF go in the lists; filled with their numbers if the lists are empty.
+    counts : ndarray of shape (n,), int64
+        Filled with the number of pixels of each PSF.
+
+    Returns
+    -------
     offset_rc : ndarray of shape (n_points, 2), int32
-        Filled with the pixels' rows and columns, from the one that the middle was rounded to.
+        The pixels' rows and columns, from the one that the middle was rounded to.
     value : ndarray of shape (n_points, 1), float32
-        Filled with their shares of the light, of sum 1.
+        Their shares of the light, of sum 1.
     """
+    offset_rc, value, n_points = np.empty((FIRST_ROOM, 2), np.int32), np.empty((FIRST_ROOM, 1), np.float32), 0
     for i in range(begin, end):
         if code[i] % 2:
             radius, length, angle = thin_shape(code[i] // 2)
             light, faint = capsule_light(radius, length, angle), FAINT
         else:
             light, faint = _streak(code[i], openness), 0.0
-        first = start[i] if len(value) else 0
-        n_points = list_light(light, faint, offset_rc[first:], value[first:])
-        if not len(value):
-            start[i] = n_points
+        # Make room for all that may be lit.
+        if n_points + light.size > len(value):
+            shorter, room = (offset_rc, value), 2 * (n_points + light.size)
+            offset_rc, value = np.empty((room, 2), np.int32), np.empty((room, 1), np.float32)
+            for p in range(n_points):
+                offset_rc[p, 0], offset_rc[p, 1], value[p, 0] = shorter[0][p, 0], shorter[0][p, 1], shorter[1][p, 0]
+        counts[i] = list_light(light, faint, offset_rc[n_points:], value[n_points:])
+        n_points += counts[i]
+    return offset_rc[:n_points], value[:n_points]

@@ -61,9 +61,6 @@ def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
     curve = model.settings.get("shutter_curve")
     given = codes, np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
     counts = np.zeros(len(codes), np.int64)
-    nothing = np.zeros((0, 2), np.int32), np.zeros((0, 1), np.float32)
-    for_bands(_streak_kernels.draw_own, len(codes), *given, counts, *nothing)
-    start = np.cumsum(counts) - counts
-    offset_rc, value = np.empty((counts.sum(), 2), np.int32), np.empty((counts.sum(), 1), np.float32)
-    for_bands(_streak_kernels.draw_own, len(codes), *given, start, offset_rc, value)
+    drawn = for_bands(_streak_kernels.draw_own, len(codes), *given, counts)
+    offset_rc, value = (np.concatenate(each) for each in zip(*drawn, strict=True))
     return Streaks(offset_rc, value, counts)

@@ -165,21 +165,16 @@ def capsule_light(radius, length, angle):
 
 @helper
 def list_light(light, faint, offset_rc, value):
-    """List the pixels of a rectangle (rows, columns) above a share of the peak, of unit sum; return their number.
-
-    If the lists are empty, they are only counted.
-    """
+    """List the pixels of a rectangle (rows, columns) above a share of the peak, of unit sum; return their number."""
     least, total, n = faint * light.max(), 0.0, 0
     for row in range(light.shape[0]):
         for col in range(light.shape[1]):
             if light[row, col] > least:
-                if len(value):
-                    offset_rc[n, 0], offset_rc[n, 1] = row - light.shape[0] // 2, col - light.shape[1] // 2
-                    value[n, 0] = light[row, col]
+                offset_rc[n, 0], offset_rc[n, 1] = row - light.shape[0] // 2, col - light.shape[1] // 2
+                value[n, 0] = light[row, col]
                 total += light[row, col]
                 n += 1
-    if len(value):
-        value[:n] /= np.float32(total)
+    value[:n] /= np.float32(total)
     return n
 
 

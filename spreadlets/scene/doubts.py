@@ -10,7 +10,7 @@ from spreadlets.arrays import FloatArray
 from spreadlets.errors import option
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
-from spreadlets.scene.samples import SampleBuffer
+from spreadlets.scene.samples import SampleBuffer, valid_values
 
 FAR = 1e8
 """Depth in metres from which on renderers mean the background: Cycles writes 1e10."""
@@ -155,11 +155,11 @@ def sample_doubts(samples: SampleBuffer, camera: ThinLens) -> list[str]:
     list of str
     """
     found = camera_doubts(camera.fitted(samples.raster.display.shape, samples.raster.pixel_aspect))
-    lens, time = samples.lens_uv[samples.valid], samples.time[samples.valid]
+    lens, time = valid_values(samples.lens_uv, samples.valid), valid_values(samples.time, samples.valid)
     if not len(lens):
         return found
     # Do the lens samples fill the unit disc?
-    radius = float(np.hypot(lens[:, 0], lens[:, 1]).max())
+    radius = float(np.sqrt((lens[:, 0] ** 2 + lens[:, 1] ** 2).max()))
     if radius > DISC_TOLERANCE:
         found.append(f"lens samples lie up to {radius:.3g} radii from the lens's centre; the disc ends at 1")
     sides = [axis for axis, values in zip("uv", lens.T, strict=True) if _one_sided(values)]

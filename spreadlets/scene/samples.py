@@ -271,3 +271,8 @@ def _not_finite(array: FloatArray) -> BoolArray:
     """Return the (H, W, S) mask of samples with a non-finite value in any channel."""
     bad = ~np.isfinite(array)
     return bad if bad.ndim == 3 else np.asarray(bad.any(axis=3))
+
+
+def valid_values(values: FloatArray, valid: BoolArray) -> FloatArray:
+    """Return the values (H, W, S, ...) of the samples that are there, of shape (n, ...); no copy where all are."""
+    return values.reshape(-1, *values.shape[3:]) if valid.all() else values[valid]
