@@ -124,9 +124,9 @@ def measure(name: str, frame: sp.Frame, camera: sp.ThinLens, rounds: int, unit: 
                 "exact": Options(tolerance=0.0, layers=layers),
                 "default": Options(layers=layers),
             }
-            psfs = {name: DenseCache(database, by_rows=name == "rows") for name in ("dense", "rows")}
-            for name, each in options.items():
-                synthesize(frame, camera, database, each, dense_psf=psfs.get(name))
+            psfs = {method: DenseCache(database, by_rows=method == "rows") for method in ("dense", "rows")}
+            for method, each in options.items():
+                synthesize(frame, camera, database, each, dense_psf=psfs.get(method))
             times: dict[str, list[dict[str, float]]] = {method: [] for method in options}
             results = {}
             for _ in range(rounds):
