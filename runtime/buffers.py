@@ -19,7 +19,7 @@ LEAST_BYTES = 1 << 18
 """Smaller arrays are cheap as they are."""
 MOST_IDLE_BYTES = 96 << 20
 """Memory that waits to be lent, at most: the canvases of a frame of some 1024 x 1024 pixels."""
-MOST_TOO_LARGE = 4
+MOST_TOO_LARGE = 8
 """A piece of memory is lent for arrays of at least its size over this."""
 SIZE_BITS = 4
 """Leading bits of the size of a piece: arrays that differ little in size take each other's place."""
@@ -53,27 +53,29 @@ class _Pool:
         self._back.append(piece)
         if self._lock.acquire(blocking=False):
             try:
-                self._sort(MOST_IDLE_BYTES)
+                self._sort()
             finally:
                 self._lock.release()
 
     def _piece(self, n_bytes: int) -> npt.NDArray[np.uint8]:
         with self._lock:
-            self._sort(MOST_IDLE_BYTES)
+            self._sort()
             for number, each in enumerate(self._idle):
                 if n_bytes <= len(each) <= MOST_TOO_LARGE * n_bytes:
                     return self._idle.pop(number)
-            # What waits in vain makes room.
-            self._sort(max(MOST_IDLE_BYTES - n_bytes, 0))
+            # As much of what is too small for it makes room.
+            freed = 0
+            while freed < n_bytes and self._idle and len(self._idle[0]) < n_bytes:
+                freed += len(self._idle.pop(0))
         step = 1 << max(n_bytes.bit_length() - SIZE_BITS, 0)
         return np.empty(-(-n_bytes // step) * step, np.uint8)
 
-    def _sort(self, most_bytes: int) -> None:
+    def _sort(self) -> None:
         """Sort what has come back among the idle pieces by size, and let the smallest go while there is too much."""
         while self._back:
             self._idle.append(self._back.popleft())
         self._idle.sort(key=len)
-        while sum(map(len, self._idle)) > most_bytes:
+        while sum(map(len, self._idle)) > MOST_IDLE_BYTES:
             self._idle.pop(0)
 
 

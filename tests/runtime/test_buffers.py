@@ -63,3 +63,11 @@ def test_threads_never_share():
         each.join()
     assert len(same) == 800
     assert all(same)
+
+
+def test_what_is_too_small_makes_room():
+    small = buffer((400, 500))
+    del small
+    large = buffer((2000, 1000))
+    assert not buffers._pool._idle
+    assert large.size == 2_000_000
