@@ -166,7 +166,11 @@ def capsule_light(radius, length, angle):
 @helper
 def list_light(light, faint, offset_rc, value):
     """List the pixels of a rectangle (rows, columns) above a share of the peak, of unit sum; return their number."""
-    least, total, n = faint * light.max(), 0.0, 0
+    peak, total, n = 0.0, 0.0, 0
+    for row in range(light.shape[0]):
+        for col in range(light.shape[1]):
+            peak = max(peak, light[row, col])
+    least = faint * peak
     for row in range(light.shape[0]):
         for col in range(light.shape[1]):
             if light[row, col] > least:
@@ -174,7 +178,8 @@ def list_light(light, faint, offset_rc, value):
                 value[n, 0] = light[row, col]
                 total += light[row, col]
                 n += 1
-    value[:n] /= np.float32(total)
+    for k in range(n):
+        value[k, 0] /= np.float32(total)
     return n
 
 
