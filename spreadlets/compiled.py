@@ -21,14 +21,18 @@ import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 import numba
 import numba.core.event
 import platformdirs
+from llvmlite.binding import parse_assembly, parse_bitcode
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+
+from spreadlets import kernel_compiler
+from spreadlets.kernel_compiler import HelperCompiler, KernelCompiler
 
 Kernel = Callable[..., Any]
 
@@ -62,7 +66,8 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     """
     if function is None:
         return lambda given: kernel(given, **options)
-    compiled = numba.njit(**USUAL, nogil=True, cache="NUMBA_CACHE_DIR" in os.environ, **options)(function)
+    kept = "NUMBA_CACHE_DIR" in os.environ
+    compiled = numba.njit(**USUAL, pipeline_class=KernelCompiler, nogil=True, cache=kept, **options)(function)
     if not numba.config.DISABLE_JIT and "NUMBA_CACHE_DIR" not in os.environ:  # type: ignore[attr-defined]
         compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
     _kernels.add(compiled)
@@ -72,9 +77,7 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
 @overload
 def helper(function: Kernel) -> Kernel: ...
 @overload
-def helper(
-    *, fastmath: bool | set[str] = ..., inline: Literal["never", "always"] = ...
-) -> Callable[[Kernel], Kernel]: ...
+def helper(*, fastmath: bool | set[str] = ...) -> Callable[[Kernel], Kernel]: ...
 def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[[Kernel], Kernel]:
     """Compile a function that only kernels call: it is kept within them, and has no entrance from Python.
 
@@ -82,10 +85,10 @@ def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     ----------
     function : callable
     **options
-        As for `kernel`; and ``inline``: "always" for what is called in one place, which is then compiled once.
+        As for `kernel`.
     """
-    compile_it: Callable[[Kernel], Kernel] = numba.njit(  # type: ignore[call-overload]
-        **USUAL, no_cpython_wrapper=True, **options
+    compile_it: Callable[[Kernel], Kernel] = numba.njit(
+        **USUAL, pipeline_class=HelperCompiler, no_cpython_wrapper=True, **options
     )
     return compile_it if function is None else compile_it(function)
 
@@ -132,7 +135,7 @@ def _can_be_written(folder: Path) -> bool:
 @cache
 def _state_of_kernels() -> str:
     """Return a digest of all files with kernels, and of how they are compiled: what is kept is valid for this."""
-    digest = hashlib.sha256(Path(__file__).read_bytes())
+    digest = hashlib.sha256(Path(__file__).read_bytes() + Path(kernel_compiler.__file__).read_bytes())
     for folder, _, names in sorted(os.walk(PACKAGE, followlinks=True)):
         for name in sorted(names):
             if name.endswith("_kernels.py"):
@@ -166,7 +169,18 @@ class _Place(_CacheLocator):
 
 
 class _KernelCacheImpl(CompileResultCacheImpl):
+    """What is kept of a kernel is machine code, and LLVM's, read only if another kernel is compiled with it."""
+
     _locator_classes = [_Place]
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        (library, kind, (machine_code, code)), described, *rest = payload
+        # Numba asks LLVM's code for nothing but the name of the entrance from Python.
+        entrance = f'define void @"{described.llvm_cpython_wrapper_name}"() {{ ret void }}'
+        named = library, kind, (machine_code, parse_assembly(entrance).as_bitcode())
+        kernel = super().rebuild(target_context, (named, described, *rest))  # type: ignore[no-untyped-call]
+        kernel.library._get_module_for_linking = cache(partial(parse_bitcode, code))
+        return kernel
 
 
 class _KernelCache(FunctionCache):

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("spreadlets", "precompute", "runtime")
 
 ORDER = (
-    {"errors", "arrays", "version"},
+    {"errors", "arrays", "version", "kernel_compiler"},
     {
         "compiled",
         "garbage",

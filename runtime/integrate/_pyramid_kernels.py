@@ -226,7 +226,7 @@ def _sum_pixels(sums, row, n_channels, scratch):
         sums[channel] = scratch[channel]
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _split_pixels(even, odd, row, n_channels):
     """Part a row of 2 n + 1 pixels into its n + 1 even and n odd ones; four channels move as one vector."""
     n_odd = odd.shape[0] // n_channels
@@ -244,7 +244,7 @@ def _split_pixels(even, odd, row, n_channels):
         even[n_odd * n_channels + channel] = row[2 * n_odd * n_channels + channel]
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _join_pixels(row, even, odd, n_channels):
     """Inverse of `_split_pixels`."""
     n_odd = odd.shape[0] // n_channels
@@ -262,7 +262,7 @@ def _join_pixels(row, even, odd, n_channels):
         row[2 * n_odd * n_channels + channel] = even[n_odd * n_channels + channel]
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _copy_row(out, row):
     """Copy a row that may be shorter than its target; the rest becomes zero."""
     for j in range(row.shape[0]):
@@ -271,7 +271,7 @@ def _copy_row(out, row):
         out[j] = 0
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _residual_row(out, above, row, below, source, step):
     """Write `source - Lap u` of a row; the source may be shorter than the row.
 
@@ -294,7 +294,7 @@ def _residual_row(out, above, row, below, source, step):
         out[j] += source[j]
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _coarsen_rows(out, rows, first, height, taps):
     """Filter along the columns: the seven rows from `first` on, out of a ring of eight."""
     w_0, w_1 = taps[3] * _mirrored(first, height)[1], taps[2] * _mirrored(first + 1, height)[1]
@@ -309,7 +309,7 @@ def _coarsen_rows(out, rows, first, height, taps):
         )
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _coarsen_cols(out, row, taps, n_channels, even, odd):
     """Filter along a row and keep its odd pixels."""
     count = out.shape[0]
@@ -381,7 +381,7 @@ def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, 
             _coarsen_cols(coarse[k], spare, taps, n_channels, even, odd)
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _stretch_cols(out, coarse, taps, n_channels, scratch):
     """Interpolate a coarse row of n pixels to 2 n + 1 pixels."""
     count = coarse.shape[0]
@@ -402,7 +402,7 @@ def _stretch_cols(out, coarse, taps, n_channels, scratch):
     _join_pixels(out, even, odd, n_channels)
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _blend_rows(out, rows, position, n_coarse, taps):
     """Interpolate along the columns at a fine row, from a ring of four stretched coarse rows."""
     if position % 2 == 0:
@@ -463,7 +463,7 @@ def _relax_row(out, out_at, rows, at, source, source_at, weight, step):
         target[j] = centre[j] + weight * (around - four * centre[j])
 
 
-@helper(fastmath=FASTMATH, inline="always")
+@helper(fastmath=FASTMATH)
 def _relax_block(coarse, image, source, out, taps, weights, n_channels, block, scratch):
     """Do the work of `relax` on the block (first row, end row, first pixel, end pixel) of its output.
 

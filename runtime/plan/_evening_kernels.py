@@ -5,7 +5,7 @@ import numpy as np
 from spreadlets.compiled import helper, kernel
 
 
-@helper(inline="always")
+@helper
 def _bin(place, shift, bins, margin):
     """Return the bin of a place along an axis: row or column of the pixel, moved by some px."""
     return int(np.floor((place + 0.5 + np.float64(shift)) * bins)) + margin * bins

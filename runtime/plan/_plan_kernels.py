@@ -94,7 +94,7 @@ class PoseLabels(NamedTuple):
     codes: tuple[bool, bool, int]
 
 
-@helper(inline="always")
+@helper
 def _scale_step(excess, steps_per_octave, n_steps):
     """Return by how many steps a PSF must shrink to come into range; ``excess`` is how many times it exceeds it."""
     if not excess > 1.0:
@@ -116,7 +116,7 @@ def _axis(number, grid, sizes):
     return remap, grid.shape[number], sizes.scaling[number], sizes.share[number]
 
 
-@helper(inline="always")
+@helper
 def _extent(one, other, first, second):
     """Return the extent of a PSF of two coordinates, px, and how many times it exceeds the range of their axes."""
     factor = one / first[0][0] if first[2] else 0.0
@@ -125,19 +125,19 @@ def _extent(one, other, first, second):
     return first[3] * one + second[3] * other, factor
 
 
-@helper(inline="always")
+@helper
 def _place(size, shrink, axis):
     """Return the place of a coordinate on its axis, the PSF made smaller by a factor."""
     return grid_coordinate(size * (shrink if axis[2] else 1.0), axis[0], axis[1])
 
 
-@helper(inline="always")
+@helper
 def _cell(one, other, first, second, unit_cell):
     """Return the cell of a place in the grid."""
     return unit_cell[min(int(one), first[1] - 1) * second[1] + min(int(other), second[1] - 1)]
 
 
-@helper(inline="always")
+@helper
 def _key(cell, step, x, y, coc, codes, cell_start):
     """Return the key of a cell's PSF in the direction (x, y) on a side of the focus, larger by some steps."""
     n_poses = cell_start[cell + 1] - cell_start[cell]

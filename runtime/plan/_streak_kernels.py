@@ -21,13 +21,13 @@ SAMPLES_PER_PX = 8
 """Moments of a path within a pixel; each is split over four pixels, bilinearly."""
 
 
-@helper(inline="always")
+@helper
 def _folded(step):
     """Return a whole number as one from 0 up: 0, -1, 1, -2, 2 ..."""
     return 2 * step if step >= 0 else -2 * step - 1
 
 
-@helper(inline="always")
+@helper
 def _unfolded(number):
     """Undo `_folded`."""
     return -(number + 1) // 2 if number % 2 else number // 2

@@ -77,7 +77,7 @@ def in_steps(weight, steps):
     return np.float32(math.floor(weight * steps + np.float32(0.5))) if steps > np.float32(0.0) else weight
 
 
-@helper(inline="always")
+@helper
 def add(sums, row, col, weight, colour, seen):
     """Add a sample that a layer stopped, or that passed it, to a pixel of its sums (h, w, N_SUMS), if within."""
     if 0 <= row < sums.shape[0] and 0 <= col < sums.shape[1]:

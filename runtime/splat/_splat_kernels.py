@@ -234,7 +234,7 @@ def _runs_near(level, first_row, n_rows, farthest):
     return first, level.row_start[min(max(first_row + n_rows + farthest, 0), rows)]
 
 
-@helper(inline="always")
+@helper
 def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end):
     """Add one pixel, times the value of each point, at the places of the points."""
     colour = load(radiance, source)
@@ -244,7 +244,7 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
         store(image, o, add(load(image, o), multiply((weight, weight, weight, weight), colour)))
 
 
-@helper(inline="always")
+@helper
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
     for p in range(_U(begin), _U(end)):
@@ -254,7 +254,7 @@ def _draw_run(image, radiance, source, target, n, point_offset, value, begin, en
             store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
 
 
-@helper(inline="always")
+@helper
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
     for p in range(_U(begin), _U(end)):
@@ -395,7 +395,7 @@ def _first_point(row, begin, end, wanted):
     return begin
 
 
-@helper(inline="always")
+@helper
 def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bounds, tiled):
     """Add n pixels to each span from ``bounds[0]`` to ``bounds[1]``, along whichever of the two is longer."""
     begin, end = bounds

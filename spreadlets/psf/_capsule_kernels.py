@@ -42,7 +42,7 @@ FAINT = 0.01
 """Share of the peak below which pixels of a thin capsule are left out: a sixteenth of all."""
 
 
-@helper(inline="always")
+@helper
 def thin_code(radius, x, y, excess):
     """Return the code of a capsule of a radius and path, px, rounded; that of a short path is small.
 

@@ -30,7 +30,7 @@ def triangular_root(value: float) -> int:
     return level
 
 
-@helper(inline="always")
+@helper
 def cell_index(coordinate: DoubleArray, shape: IntArray, level_offset: IntArray) -> int:
     """Map a coordinate in grid units to its cell in O(1); coordinates outside the space are clamped into it.
 
@@ -110,7 +110,7 @@ def grid_coordinates(coordinates: DoubleArray, remap: DoubleArray, shape: IntArr
     return out
 
 
-@helper(inline="always")
+@helper
 def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a motion angle into the octant [0, pi/4] and round it to the nearest of ``n_directions`` nodes.
 
@@ -143,7 +143,7 @@ def fold_direction(angle: float, n_directions: int) -> tuple[int, bool, bool, bo
     return index, transpose, mirrored and not transpose, mirrored and transpose
 
 
-@helper(inline="always")
+@helper
 def fold_arrow(angle: float, n_directions: int) -> tuple[int, bool, bool, bool]:
     """Fold a direction as `fold_direction` does, but tell it from its opposite: all eight symmetries are in use."""
     across, along = math.sin(angle), math.cos(angle)

@@ -8,9 +8,10 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
 from spreadlets import compiled
-from spreadlets.compiled import count_compiled, kernel_folder
+from spreadlets.compiled import count_compiled, helper, kernel, kernel_folder
 from spreadlets.psf._grid_kernels import triangular_root
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="is about compiled code")
@@ -26,6 +27,25 @@ compiled.kernel_folder = lambda: Path(sys.argv[1])
 from spreadlets.psf._grid_kernels import triangular_root
 print(triangular_root(7.0), compiled.count_compiled())
 """
+
+RUN_WITHIN_ANOTHER = (
+    RUN
+    + """
+@compiled.kernel
+def twice(values):
+    for k in range(len(values)):
+        values[k] = triangular_root(values[k])
+
+import numpy
+from numba.core.caching import NullCache
+twice._cache = NullCache()
+values = numpy.array([7.0, 55.0])
+twice(values)
+(name,) = (each.fndesc.llvm_func_name for each in triangular_root.overloads.values())
+(code,) = twice.inspect_llvm().values()
+print(*values, compiled.count_compiled(), name in code)
+"""
+)
 
 
 def run(code, *arguments, **environment):
@@ -122,7 +142,7 @@ def test_kernels_are_compiled_once_said_so_and_survive_copying(tmp_path):
     first.mkdir()
     said = f"compiling once: kernels are kept for later runs in {first}"
     assert run(RUN, first).stdout.splitlines() == [said, "3 1"]
-    assert run(RUN, first).stdout.splitlines() == ["3 0"]
+    assert run(RUN_WITHIN_ANOTHER, first).stdout.splitlines() == ["3 0", said, "3.0 10.0 1 False"]
     shutil.move(first, copy)
     assert run(RUN, copy).stdout.splitlines() == ["3 0"]
     for each in copy.glob("*.nbc"):
@@ -154,3 +174,28 @@ def test_a_full_disk_is_no_reason_to_fail(monkeypatch):
         warnings.simplefilter("error")
         assert triangular_root(np.float32(7.0)) == 3
     assert count_compiled() == before + 1
+
+
+def test_helpers_become_machine_code_within_kernels_alone():
+    @helper
+    def tripled(number):
+        return 3 * number
+
+    @helper
+    def more(number):
+        return tripled(number) + np.ones(2)[1]
+
+    @kernel
+    def fill(values):
+        for k in range(len(values)):
+            values[k] = more(values[k])
+
+    fill._cache = NullCache()  # new in each run of the tests
+    values = np.arange(3.0)
+    fill(values)
+    assert values.tolist() == [1.0, 4.0, 7.0]
+    engine = numba.core.registry.cpu_target.target_context.codegen()._engine
+    of_helpers = [compiled.fndesc.llvm_func_name for each in (tripled, more) for compiled in each.overloads.values()]
+    assert len(of_helpers) == 2 and not any(map(engine.is_symbol_defined, of_helpers))
+    (of_kernel,) = (compiled.fndesc.llvm_func_name for compiled in fill.overloads.values())
+    assert engine.is_symbol_defined(of_kernel)

@@ -1,0 +1,84 @@
+"""What Numba does to compile a kernel or a helper, without what they have no use for.
+
+Numba optimises every function and makes machine code of it, though a helper is only ever called by kernels: there its
+code is optimised again, with theirs, and it is there that it becomes machine code. So of a helper nothing more is made
+here than what is linked into kernels. And kernels are loops over numbers: what only serves closures, arithmetic of
+whole arrays or inlining before there are types is left out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import _dynfunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.runtime import rtsys
+from numba.core.typed_passes import NativeLowering, NopythonRewrites
+from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables
+
+UNUSED = (InlineClosureLikes, InlineInlinables, NopythonRewrites)
+"""Passes of Numba that find nothing to do in a kernel, which takes them a twentieth of the time."""
+
+
+class _KernelCode(JITCodeLibrary):
+    """The code of a kernel: functions are optimised once, with all that is linked in, and not one by one before."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+
+class _HelperCode(_KernelCode):
+    """The code of a helper, which goes into kernels as it is."""
+
+    def finalize(self) -> None:
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            # What manages memory is linked into each kernel anyway.
+            if library is not rtsys.library:
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _HelperLowering(NativeLowering):
+    """Numba's, without machine code; helpers may be called by kernels, and raise nothing."""
+
+    _name = "helper_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state.cr
+        # Kernels know what they call by a function, though nobody can enter it from Python.
+        module = lowered.fndesc.lookup_module()
+        entrance = _dynfunc.make_function(module, state.func_id.func_name, "", 0, lowered.env, (state.library,))
+        state.targetctx.insert_user_function(entrance, lowered.fndesc, [state.library])
+        state.cr = lowered._replace(cfunc=entrance)
+        return True
+
+
+class KernelCompiler(CompilerBase):
+    """How kernels are compiled: Numba's ``pipeline_class``."""
+
+    code: type[JITCodeLibrary] = _KernelCode
+    lowering: type[NativeLowering] = NativeLowering
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return Numba's passes without those that are `UNUSED`."""
+        self.state.library = self.code(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
+        passes = PassManager("kernel")
+        for each, description in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
+            if each not in UNUSED:
+                passes.add_pass(self.lowering if each is NativeLowering else each, description)
+        passes.finalize()
+        return [passes]
+
+
+class HelperCompiler(KernelCompiler):
+    """The same for helpers, which nothing but kernels call."""
+
+    code = _HelperCode
+    lowering = _HelperLowering
