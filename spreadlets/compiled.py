@@ -87,7 +87,7 @@ def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     **options
         As for `kernel`.
     """
-    compile_it: Callable[[Kernel], Kernel] = numba.njit(
+    compile_it: Callable[[Kernel], Kernel] = numba.njit(  # type: ignore[call-overload]
         **USUAL, pipeline_class=HelperCompiler, no_cpython_wrapper=True, **options
     )
     return compile_it if function is None else compile_it(function)
