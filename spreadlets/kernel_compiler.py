@@ -1,9 +1,9 @@
 """What Numba does to compile a kernel or a helper, without what they have no use for.
 
-Numba optimises every function and makes machine code of it, though a helper is only ever called by kernels: there its
-code is optimised again, with theirs, and it is there that it becomes machine code. So of a helper nothing more is made
-here than what is linked into kernels. And kernels are loops over numbers: what only serves closures, arithmetic of
-whole arrays or inlining before there are types is left out.
+Numba makes machine code of every function, with what manages memory, though a helper is only ever called by kernels: it
+is linked into them, and what is run is made there. So of a helper no more is made here than what is linked. And kernels
+are loops over numbers: what only serves closures, arithmetic of whole arrays or inlining before there are types is left
+out.
 """
 
 from __future__ import annotations
@@ -22,15 +22,8 @@ UNUSED = (InlineClosureLikes, InlineInlinables, NopythonRewrites)
 """Passes of Numba that find nothing to do in a kernel, which takes them a twentieth of the time."""
 
 
-class _KernelCode(JITCodeLibrary):
-    """The code of a kernel: functions are optimised once, with all that is linked in, and not one by one before."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
-
-
-class _HelperCode(_KernelCode):
-    """The code of a helper, which goes into kernels as it is."""
+class _HelperCode(JITCodeLibrary):
+    """The code of a helper: optimised, but no machine code."""
 
     def finalize(self) -> None:
         for library in dict.fromkeys(self._linking_libraries):
@@ -38,6 +31,7 @@ class _HelperCode(_KernelCode):
             # What manages memory is linked into each kernel anyway.
             if library is not rtsys.library:
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._optimize_final_module()
         self._finalized = True
 
 
@@ -48,6 +42,7 @@ class _HelperLowering(NativeLowering):
     _name = "helper_lowering"
 
     def run_pass(self, state: Any) -> bool:
+        state.library = _HelperCode(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state.cr
@@ -62,13 +57,10 @@ class _HelperLowering(NativeLowering):
 class KernelCompiler(CompilerBase):
     """How kernels are compiled: Numba's ``pipeline_class``."""
 
-    code: type[JITCodeLibrary] = _KernelCode
     lowering: type[NativeLowering] = NativeLowering
 
     def define_pipelines(self) -> list[PassManager]:
         """Return Numba's passes without those that are `UNUSED`."""
-        self.state.library = self.code(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        self.state.library.enable_object_caching()
         passes = PassManager("kernel")
         for each, description in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
             if each not in UNUSED:
@@ -80,5 +72,4 @@ class KernelCompiler(CompilerBase):
 class HelperCompiler(KernelCompiler):
     """The same for helpers, which nothing but kernels call."""
 
-    code = _HelperCode
     lowering = _HelperLowering
