@@ -31,10 +31,13 @@ import platformdirs
 from llvmlite.binding import parse_assembly, parse_bitcode
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from spreadlets import kernel_compiler
-from spreadlets.kernel_compiler import HelperCompiler, KernelCompiler
-
 Kernel = Callable[..., Any]
+
+TAKEN_APART = (0, 68)
+"""The version of Numba whose parts `spreadlets.kernel_compiler` uses. Any other compiles as it always does."""
+_is_taken_apart = numba.version_info.short == TAKEN_APART
+if _is_taken_apart:
+    from spreadlets.kernel_compiler import HelperCompiler, KernelCompiler
 
 PACKAGE = Path(__file__).resolve().parent
 USUAL: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
@@ -42,6 +45,8 @@ USUAL: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 TEMPORARY = "spreadlets-"
 """What the name of a folder that ends with the process begins with."""
 logger = logging.getLogger("spreadlets")
+_of_kernels: dict[str, Any] = {"pipeline_class": KernelCompiler} if _is_taken_apart else {}
+_of_helpers: dict[str, Any] = {"pipeline_class": HelperCompiler} if _is_taken_apart else {}
 _kernels: set[Kernel] = set()
 _first_calls: list[tuple[str, str, Any]] = []
 
@@ -67,7 +72,7 @@ def kernel(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
     if function is None:
         return lambda given: kernel(given, **options)
     kept = "NUMBA_CACHE_DIR" in os.environ
-    compiled = numba.njit(**USUAL, pipeline_class=KernelCompiler, nogil=True, cache=kept, **options)(function)
+    compiled = numba.njit(**USUAL, **_of_kernels, nogil=True, cache=kept, **options)(function)
     if not numba.config.DISABLE_JIT and "NUMBA_CACHE_DIR" not in os.environ:  # type: ignore[attr-defined]
         compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
     _kernels.add(compiled)
@@ -88,7 +93,7 @@ def helper(function: Kernel | None = None, **options: Any) -> Kernel | Callable[
         As for `kernel`.
     """
     compile_it: Callable[[Kernel], Kernel] = numba.njit(  # type: ignore[call-overload]
-        **USUAL, pipeline_class=HelperCompiler, no_cpython_wrapper=True, **options
+        **USUAL, **_of_helpers, no_cpython_wrapper=True, **options
     )
     return compile_it if function is None else compile_it(function)
 
@@ -135,7 +140,7 @@ def _can_be_written(folder: Path) -> bool:
 @cache
 def _state_of_kernels() -> str:
     """Return a digest of all files with kernels, and of how they are compiled: what is kept is valid for this."""
-    digest = hashlib.sha256(Path(__file__).read_bytes() + Path(kernel_compiler.__file__).read_bytes())
+    digest = hashlib.sha256(Path(__file__).read_bytes() + (PACKAGE / "kernel_compiler.py").read_bytes())
     for folder, _, names in sorted(os.walk(PACKAGE, followlinks=True)):
         for name in sorted(names):
             if name.endswith("_kernels.py"):
@@ -174,6 +179,8 @@ class _KernelCacheImpl(CompileResultCacheImpl):
     _locator_classes = [_Place]
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
+        if not _is_taken_apart:
+            return super().rebuild(target_context, payload)  # type: ignore[no-untyped-call]
         (library, kind, (machine_code, code)), described, *rest = payload
         # Numba asks LLVM's code for nothing but the name of the entrance from Python.
         entrance = f'define void @"{described.llvm_cpython_wrapper_name}"() {{ ret void }}'
