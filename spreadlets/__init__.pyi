@@ -25,3 +25,4 @@ from .scene.camera import ThinLens as ThinLens
 from .scene.frame import Frame as Frame
 from .scene.samples import SampleBuffer as SampleBuffer
 from .version import __version__ as __version__
+from .view.widget import widget as widget

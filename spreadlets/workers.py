@@ -178,7 +178,9 @@ def _connected(address: str, stopped: type[StoppedError]) -> Iterator[Any]:
         except TimeoutError as error:
             raise stopped(f"the scheduler at {address!r} has no worker after {CONNECT_S:g} s") from error
         finally:
-            client.close(timeout=WATCH_S)
+            # What went wrong before tells more than that a lost scheduler does not answer a farewell.
+            with suppress(OSError):
+                client.close(timeout=WATCH_S)
 
 
 @contextmanager

@@ -203,8 +203,8 @@ def test_lines_moved_along_themselves_make_what_nodes_placed_one_by_one_make(nam
     chords = trace_psf(make("combined", **SHAPES[name]), box, **pose)
     nodes = trace_psf(make("combined", **SHAPES[name], spherical_aberration=1e-9), box, **pose, rays=1 << 22)
     again = trace_psf(make("combined", **SHAPES[name]), box, **pose, seed=1)
-    assert relative_l1(chords, nodes[..., 0]) < 0.01
-    assert relative_l1(chords, again[..., 0]) < 0.006
+    assert relative_l1(chords, nodes[..., 0]) < 0.004
+    assert relative_l1(chords, again[..., 0]) < 0.004
 
 
 def test_parts_of_lines_end_where_the_clearance_crosses_zero():

@@ -63,3 +63,22 @@ def test_a_worker_of_another_version_is_refused(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "__version__", "0")
     with pytest.raises(StoppedError, match="this program 0: install the same everywhere"):
         run_sequence(job, [1], scheduler=address)
+
+
+def test_a_connection_that_cannot_be_closed_hides_no_error(monkeypatch):
+    class Client:
+        def __init__(self, *arguments, **options):
+            pass
+
+        def wait_for_workers(self, count, timeout):
+            pass
+
+        def ncores(self):
+            return {}
+
+        def close(self, timeout):
+            raise TimeoutError
+
+    monkeypatch.setattr("distributed.Client", Client)
+    with pytest.raises(KeyError), workers.open_workers(1, "tcp://there:1"):
+        raise KeyError
