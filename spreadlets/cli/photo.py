@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
@@ -10,6 +10,9 @@ import cloup
 from spreadlets.cli.controls import Numbers, bokeh_options, take_bokeh
 from spreadlets.cli.options import bit_depth_option, json_option
 from spreadlets.cli.show import print_figures, progress_bar
+
+if TYPE_CHECKING:
+    from spreadlets.arrays import FloatArray
 
 
 class PointOrBox(click.ParamType[Any]):
@@ -49,6 +52,8 @@ class PointOrBox(click.ParamType[Any]):
 )
 @cloup.option("--max-coc", type=float, metavar="PX", help="Largest radius of the blur.")
 @cloup.option("--mask", type=click.Path(dir_okay=False), metavar="FILE", help="Keep sharp what is white in this image.")
+@cloup.option("--input-space", metavar="NAME", help="Colour space of the image, by OpenColorIO's name (its profile).")
+@cloup.option("--output-space", metavar="NAME", help="Colour space of the output (sRGB; linear in OpenEXR).")
 @cloup.option("--no-refine", "refine", is_flag=True, flag_value=False, default=True, help="Take the depth as it is.")
 @cloup.option("--grain", is_flag=True, help="Give what is blurred the grain of the photograph.")
 @cloup.option("--layers", type=click.IntRange(min=1), help="Depth layers, at most.")
@@ -62,6 +67,8 @@ def photo(
     focal_length: float | None,
     f_number: float | None,
     mask: str | None,
+    input_space: str | None,
+    output_space: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -75,6 +82,7 @@ def photo(
     """
     from spreadlets.ahead import compiled_ahead
     from spreadlets.bokeh import bokeh_model
+    from spreadlets.files.colour_spaces import check_space
     from spreadlets.files.images import check_bit_depth, write_image
     from spreadlets.files.outputs import check_outputs
     from spreadlets.files.pictures import read_picture, read_plane
@@ -83,12 +91,14 @@ def photo(
 
     # Check what is written before anything is read.
     check_bit_depth(output, bit_depth)
+    if output_space:
+        check_space(output_space)
     shape = take_bokeh(options, None)
     check_outputs([output], [each for each in (image, depth, mask, shape.get("kernel")) if each])
     # Read the picture and its depth.
     clock = Clock()
     with clock.step("read"):
-        picture, values = read_picture(image), read_plane(depth)
+        picture, values = read_picture(image, input_space), read_plane(depth)
         held = None if mask is None else read_plane(mask)
     # Blur and write it.
     with compiled_ahead("synthesize"), progress_bar("building", quiet=as_json) as progress:
@@ -104,6 +114,19 @@ def photo(
             **options,
         )
     with clock.step("write"):
+        if output_space:
+            result = _in_space(result, output_space, output)
         write_image(output, result, bit_depth=bit_depth)
     height, width = result.shape[:2]
     print_figures({"output": output, "width": width, "height": height, "time_s": clock.times()}, as_json)
+
+
+def _in_space(linear: FloatArray, space: str, path: str) -> FloatArray:
+    """Return what a file has to be written from that shall hold the colours of a space."""
+    from spreadlets.files.colour_spaces import from_linear
+    from spreadlets.files.images import OPENEXR, image_extension
+    from spreadlets.scene.display import display_decode
+
+    values = from_linear(linear, space)
+    # Pictures for viewing are encoded as they are written: of this, that leaves the values.
+    return values if image_extension(path) == OPENEXR else display_decode(values.clip(0.0, 1.0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import InvalidFileError, MissingPackageError
+from spreadlets.files.colour_spaces import to_linear
 from spreadlets.files.exr_file import library_messages
 from spreadlets.files.exr_frames import read_image
 from spreadlets.packages import optional_package
@@ -45,13 +47,15 @@ class Picture(NamedTuple):
     f_number: float | None = None
 
 
-def read_picture(path: PathLike) -> Picture:
+def read_picture(path: PathLike, space: str | None = None) -> Picture:
     """Read a photograph: OpenEXR and NumPy as linear light, all else as its colour profile says, or else as sRGB.
 
     Parameters
     ----------
     path : path
         What Pillow reads (PNG, JPEG, TIFF, WebP, and HEIC with the package ``pillow_heif``), ``.exr`` or ``.npy``.
+    space : str, optional
+        The colour space that its values are in, see `spreadlets.files.colour_spaces`; a profile is then ignored.
 
     Returns
     -------
@@ -62,14 +66,18 @@ def read_picture(path: PathLike) -> Picture:
     ------
     InvalidFileError
         If the file cannot be read.
+    InvalidParameterError
+        If there is no such colour space.
     """
     extension = PurePath(os.fspath(path)).suffix.lower()
+    found: Picture
     if extension == ".exr":
-        return Picture(np.ascontiguousarray(read_image(path)[..., :3]))
-    if extension == ".npy":
-        return Picture(_colours(path, _read_numpy(path)))
-    found: Picture = _opened(path, _photograph)
-    return found
+        found = Picture(np.ascontiguousarray(read_image(path)[..., :3]))
+    elif extension == ".npy":
+        found = Picture(_colours(path, _read_numpy(path), as_stored=space is not None))
+    else:
+        found = _opened(path, partial(_photograph, as_stored=space is not None))
+    return found if space is None else found._replace(radiance=to_linear(found.radiance, space))
 
 
 def read_plane(path: PathLike) -> FloatArray:
@@ -126,8 +134,8 @@ def _register_heif(path: PathLike) -> None:
         raise InvalidFileError(str(error)) from error
 
 
-def _photograph(path: PathLike, image: Any) -> Picture:
-    """Return an open picture as linear light, upright."""
+def _photograph(path: PathLike, image: Any, *, as_stored: bool) -> Picture:
+    """Return an open picture, upright: as linear light, or the values that are stored, as shares of the largest."""
     from PIL import ImageOps
 
     focal_length, f_number = _lens(image)
@@ -138,8 +146,9 @@ def _photograph(path: PathLike, image: Any) -> Picture:
         grey = _unit(np.asarray(image))
         encoded = np.repeat(grey[..., None], 3, axis=2)
     else:
-        encoded = np.asarray(_in_srgb(path, image.convert("RGB"), profile))
-    return Picture(display_decode(encoded), focal_length, f_number)
+        colours = image.convert("RGB")
+        encoded = np.asarray(colours if as_stored else _in_srgb(path, colours, profile))
+    return Picture(_unit(encoded) if as_stored else display_decode(encoded), focal_length, f_number)
 
 
 def _in_srgb(path: PathLike, image: Any, profile: bytes | None) -> Any:
@@ -201,12 +210,12 @@ def _read_numpy(path: PathLike) -> npt.NDArray[Any]:
     return values
 
 
-def _colours(path: PathLike, values: npt.NDArray[Any]) -> FloatArray:
-    """Return an array as linear light: integers are sRGB, floats are linear."""
+def _colours(path: PathLike, values: npt.NDArray[Any], *, as_stored: bool) -> FloatArray:
+    """Return an array as linear light: integers are sRGB, floats are linear; or the values that are stored."""
     if values.ndim != 3 or values.shape[2] not in (3, 4):
         raise InvalidFileError(f"{path}: has the shape {values.shape}; a picture is (H, W, 3)")
     colours = values[..., :3]
-    return colours.astype(np.float32) if values.dtype.kind == "f" else display_decode(_unit(colours))
+    return _unit(colours) if as_stored or values.dtype.kind == "f" else display_decode(_unit(colours))
 
 
 def _exr_plane(path: PathLike) -> npt.NDArray[Any]:

@@ -8,6 +8,7 @@ from PIL import Image
 from scipy import ndimage
 
 import spreadlets as sp
+from spreadlets.cli import main as cli
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
 from spreadlets.photograph.depth_map import filled, inverse_depth, refined
 from spreadlets.photograph.grain import grain_of
@@ -132,17 +133,29 @@ def test_what_cannot_be_done_is_refused(changed, error, message):
 
 
 def test_the_command_reads_and_writes_files(tmp_path, monkeypatch, capsys):
-    import sys
-
-    from spreadlets.cli import main as cli
-
     Image.fromarray(RGB).save(tmp_path / "in.png")
     Image.fromarray(np.rint(65535 * INVERSE).astype(np.uint16)).save(tmp_path / "depth.png")
     monkeypatch.chdir(tmp_path)
-    words = "spreadlets photo in.png depth.png -o out.png --focus 64,48 --blur 5 --no-refine --json"
-    monkeypatch.setattr(sys, "argv", words.split())
-    cli.main()
+    call(monkeypatch, "photo in.png depth.png -o out.png --focus 64,48 --blur 5 --no-refine --json")
     told = json.loads(capsys.readouterr().out)
     assert (told["width"], told["height"]) == (128, 96) and told["time_s"]["total"] > 0
     image = np.asarray(Image.open("out.png"))
     assert np.abs(image[SUBJECT].astype(int) - RGB[SUBJECT]).max() <= 1
+
+
+def call(monkeypatch, words):
+    monkeypatch.setattr("sys.argv", ["spreadlets", *words.split()])
+    cli.main()
+
+
+def test_the_command_takes_and_gives_colour_spaces_by_their_names(tmp_path, monkeypatch):
+    pytest.importorskip("PyOpenColorIO")
+    Image.fromarray(RGB).save(tmp_path / "in.png")
+    np.save(tmp_path / "depth.npy", INVERSE)
+    monkeypatch.chdir(tmp_path)
+    words = "photo in.png depth.npy --focus 64,48 --blur 5 --no-refine --input-space ACEScct --output-space ACEScct -o"
+    # What is sharp keeps its values, in a picture for viewing and in OpenEXR.
+    for name, step in (("out.png", 1.0), ("out.exr", 0.1)):
+        call(monkeypatch, f"{words} {name}")
+        image = sp.read_image(name)[..., :3] * 255 if name == "out.exr" else np.asarray(Image.open(name), float)
+        assert np.abs(image[SUBJECT] - RGB[SUBJECT]).max() <= step
