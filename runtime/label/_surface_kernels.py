@@ -14,9 +14,11 @@ MOST = 3
 """Surfaces of a pixel."""
 PURITY_POWER = 8
 """How much the purer of a surface's pixels count: one that is a fifth of another surface counts a sixth."""
-LONGEST = 5
+LEAST_PURITY = 0.3
+"""That of a pixel whose surface lies beside its centre."""
+LONGEST = 8
 """Steps, px, to either side along an edge."""
-ALONG = 2.0
+ALONG = 4.0
 """Deviation, px, along a straight edge of the mean that tells how a surface covers a pixel."""
 ACROSS = 0.6
 """The same where there is no direction: at corners and dots."""
@@ -71,7 +73,7 @@ def place_range(begin, end, place, low, high):
 
 
 @kernel
-def weigh_pixels(begin, end, place, gap, radiance, wanted, weights):
+def weigh_pixels(begin, end, place, point, gap, radiance, wanted, weights):
     """Find how pure the pixels of some tiles are, how much each counts for its surface's colour, and how bright it is.
 
     Parameters
@@ -100,8 +102,8 @@ def weigh_pixels(begin, end, place, gap, radiance, wanted, weights):
                             # The weights of a filter 3 px wide, as most renderers have it: 0.8 and 0.1 along each axis.
                             weight = (0.8 if i == row else 0.1) * (0.8 if j == col else 0.1)
                             total += weight
-                            own += weight if abs(place[i, j] - here) < gap else 0.0
-                    share = own / total
+                            own += weight if abs(point[i, j] - here) < gap else 0.0
+                    share = max(own / total, LEAST_PURITY)
                     purity[row, col], power[row, col] = share, share**PURITY_POWER
                     log_light[row, col] = math.log(_brightness(radiance[row, col]) + NEGLIGIBLE)
 
@@ -474,7 +476,7 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
     int
         Number of pixels with more than one surface.
     """
-    place, radiance, weights, known = given
+    place, point, radiance, weights, known = given
     window = (2 * REACH + 1) ** 2
     spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
     which = np.empty((2 * COLOUR_REACH + 1, 2 * COLOUR_REACH + 1), np.int8)
@@ -496,8 +498,10 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
             _number_surfaces(place, row, col, bounds, which)
             total, each[2] = 0.0, 0.0
             for s in range(count):
-                each[s] = _edge_share(place, row, col, bounds[s, 0], bounds[s, 1], which, s)
+                each[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s)
                 total += each[s]
+            if total == 0.0:
+                continue
             for s in range(count):
                 each[s] /= total
             _find_sources(weights[0], row, col, which, count, sources, trust)
