@@ -16,10 +16,12 @@ PURITY_POWER = 8
 """How much the purer of a surface's pixels count: one that is a fifth of another surface counts a sixth."""
 LEAST_PURITY = 0.3
 """That of a pixel whose surface lies beside its centre."""
-LONGEST = 8
+LONGEST = 5
 """Steps, px, to either side along an edge."""
-ALONG = 4.0
+ALONG = 2.0
 """Deviation, px, along a straight edge of the mean that tells how a surface covers a pixel."""
+STRAND_LONGEST, STRAND_ALONG = 8, 4.0
+"""The same along a strand with gaps: it covers a pixel as much as its point samples lie close along it."""
 ACROSS = 0.6
 """The same where there is no direction: at corners and dots."""
 TRUST_NEAR, TRUST_FAR = 0.15, 0.05
@@ -78,7 +80,8 @@ def weigh_pixels(begin, end, place, point, gap, radiance, wanted, weights):
 
     Parameters
     ----------
-    place : ndarray of shape (H, W), float32
+    place, point : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, with and without what strands were given in their gaps: there little is pure.
     gap : float
         Pixels whose places differ by less are of one surface.
     radiance : ndarray of shape (H, W, 4), float32
@@ -185,7 +188,18 @@ def _share_between(place, y, x, low, high):
 
 
 @helper
-def _edge_share(place, row, col, low, high, which, number):
+def _is_strand(place, point, row, col):
+    """Return whether gaps of a strand were closed around a pixel."""
+    height, width = place.shape
+    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+            if place[i, j] != point[i, j]:
+                return True
+    return False
+
+
+@helper
+def _edge_share(place, row, col, low, high, which, number, along, longest):
     """Return how much of a pixel a surface covers, with places from ``low`` to ``high``, by its mean along the edge.
 
     Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
@@ -210,11 +224,11 @@ def _edge_share(place, row, col, low, high, which, number):
     double_cosine = (xx - yy) / size if size > 0.0 else 1.0
     step_row = math.sqrt(0.5 * (1.0 + double_cosine))
     step_col = math.sqrt(max(0.5 * (1.0 - double_cosine), 0.0)) * (-1.0 if xy > 0.0 else 1.0)
-    falloff = math.exp(-0.5 / (ALONG * (size / (xx + yy)) ** 2 + ACROSS) ** 2)
+    falloff = math.exp(-0.5 / (along * (size / (xx + yy)) ** 2 + ACROSS) ** 2)
     # Filter along it, with bilinear interpolation; each Gaussian weight follows from the one before.
     weight, ratio = 1.0, falloff
     total, share = 1.0, np.float64(low <= place[row, col] <= high)
-    for step in range(1, LONGEST + 1):
+    for step in range(1, longest + 1):
         weight, ratio = weight * ratio, ratio * falloff * falloff
         if weight < NEGLIGIBLE:
             break
@@ -457,8 +471,9 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
 
     Parameters
     ----------
-    given : tuple of place, radiance, weights and known
-        ``place`` (H, W), float32: where surfaces lie in depth, as CoC radii, px; infinite where there is nothing.
+    given : tuple of place, point, radiance, weights and known
+        ``place`` (H, W), float32: where surfaces lie in depth, as CoC radii, px; infinite where there is nothing; and
+        ``point`` (H, W), float32: the same before the gaps of strands were closed.
         ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`. ``known`` (H, W), float32: share of the nearer
         of two surfaces where the depth tells it, else -1.
     listed : tuple of ndarrays of shapes (H, W) and (H + 1,), int32 and int64
@@ -497,8 +512,9 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
             # Guess their shares by the edge, or take those that a filtered depth told.
             _number_surfaces(place, row, col, bounds, which)
             total, each[2] = 0.0, 0.0
+            along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
             for s in range(count):
-                each[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s)
+                each[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
                 total += each[s]
             if total == 0.0:
                 continue

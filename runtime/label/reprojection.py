@@ -57,7 +57,7 @@ def reproject(layer: Layer, neighbours: Sequence[Layer], camera: ThinLens) -> tu
         neighbour = _directed(layer, each)
         place = places(neighbour.layer, camera)
         place[neighbour.layer.radiance[..., 3] == 0.0] = np.inf
-        purity = weigh_pixels(place, neighbour.layer.radiance)[0]
+        purity = weigh_pixels(place, place, neighbour.layer.radiance)[0]
         moved.append((purity, place, neighbour.motion, neighbour.sign, take_features(neighbour.layer, layer)))
     # Pixels may move anywhere: one band.
     for purity, place, motion, sign, _ in moved:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _blend_kernels, _label_kernels, _surface_kernels, _thread_kernels
+from spreadlets.runtime.label import _blend_kernels, _label_kernels, _strand_kernels, _surface_kernels
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scene.camera import ThinLens
@@ -93,6 +93,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
         layer, known = without_filter(layer, place)
         place = places(layer, camera)
     place[layer.radiance[..., 3] == 0.0] = np.inf
+    # Close the gaps of what is thinner than a pixel.
     point = place
     layer, place = without_gaps(layer, place)
     # List the pixels around which places differ.
@@ -101,7 +102,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     for_bands(_surface_kernels.list_mixed, height, place, layer.radiance, LEAST_GAP, mixed, columns, starts[1:])
     np.cumsum(starts, out=starts)
     # Divide them among the surfaces around them.
-    weights = weigh_pixels(place, layer.radiance, near, point)
+    weights = weigh_pixels(place, point, layer.radiance, near)
     n, most = int(starts[-1]), _surface_kernels.MOST
     first = np.ones(layer.shape, np.float32), layer.radiance.copy()
     found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
@@ -121,11 +122,13 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             yield Surface(_surface(layer, colours[index, number], taken), listed, at[index])
 
 
-def weigh_pixels(place: Image, radiance: Image, wanted: BoolArray | None = None, point: Image|None=None) -> tuple[Image, Image, Image]:
+def weigh_pixels(
+    place: Image, point: Image, radiance: Image, wanted: BoolArray | None = None
+) -> tuple[Image, Image, Image]:
     """Return how pure pixels are, how much each counts, and how bright it is; all, or those of some tiles."""
     weights = np.empty_like(place), np.empty_like(place), np.empty_like(place)
     wanted = np.ones(tiling(place.shape, _surface_kernels.TILE), np.bool_) if wanted is None else wanted
-    for_bands(_surface_kernels.weigh_pixels, len(wanted), place, place if point is None else point, LEAST_GAP, radiance, wanted, weights)
+    for_bands(_surface_kernels.weigh_pixels, len(wanted), place, point, LEAST_GAP, radiance, wanted, weights)
     return weights
 
 
@@ -282,9 +285,9 @@ def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 
 def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
-    """Return a layer whose threads have no gaps, and its places.
+    """Return a layer whose strands have no gaps, and its places.
 
-    Point samples of the depth miss a thread that is thinner than a pixel where it lies between the pixels' centres.
+    Point samples of the depth miss a strand that is thinner than a pixel where it lies between the pixels' centres.
 
     Parameters
     ----------
@@ -293,13 +296,13 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
         Its depths as CoC radii, px.
     """
     height, thin = len(place), np.empty(layer.shape, np.bool_)
-    for_bands(_thread_kernels.find_thin, height, place, LEAST_GAP, thin)
+    for_bands(_strand_kernels.find_thin, height, place, LEAST_GAP, thin)
     ends = np.empty((*layer.shape, 2), np.int8)
-    for_bands(_thread_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
+    for_bands(_strand_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
     if not ends.any():
         return layer, place
     closed, source = place.copy(), np.stack(np.indices(layer.shape, np.int32), axis=-1)
-    _thread_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
+    _strand_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
     return _surface(layer, layer.radiance, source), closed
 
 

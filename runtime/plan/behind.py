@@ -1,8 +1,9 @@
 """What lies behind: surfaces that nearer ones hide, found before anything is blurred.
 
 A blur shows what a sharp image hides: beside a near thing out of focus, and through it. Layer by layer, what nearer
-ones hide of it is taken from neighbouring frames of the sequence, if there are any, and else guessed: where what was
-seen around looks like some other place, what lies there is copied. What is not found so is left to compositing.
+ones hide of it is taken from neighbouring frames of the sequence, if there are any, and else guessed: strands go on,
+and where what was seen around looks like some other place, what lies there is copied. What is not found so is left to
+compositing.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.pixels import Labelled
 from spreadlets.runtime.label.surfaces import Surface, take_features, with_features
 from spreadlets.runtime.label.tiles import largest_around, tiling
-from spreadlets.runtime.plan import _behind_kernels, _thread_kernels
+from spreadlets.runtime.plan import _behind_kernels
 from spreadlets.runtime.plan.layering import Layering
+from spreadlets.runtime.plan.strands import Strands, find_strands
 from spreadlets.scene.frame import Layer
 
 LEAST_GAP = 1.5
@@ -44,8 +46,8 @@ class Behind(NamedTuple):
     Attributes
     ----------
     surface : Surface or None
-        A list of the pixels in which there is one, of several the largest; its share of the pixel is the one that it
-        would have if nothing nearer were there. None if there are none.
+        A list of the pixels in which there is one, of several the largest, and strands; its share of the pixel is the
+        one that it would have if nothing nearer were there. None if there are none.
     known : ndarray of shape (H, W), uint64
         Bit k says that all that is hidden of depth layer k in the pixel is known.
     """
@@ -105,11 +107,11 @@ def find_behind(
     ]
     known = [np.zeros(shape, np.uint64) for _ in frames]
     nearer = np.zeros(shape, np.float32)
-    threads = _hidden_threads(seen, frames)
-    if threads is not None:
-        at, ends, _ = threads
-        for bits in known:
-            bits.ravel()[at] |= np.uint64(1) << seen.passes[-1].layer.ravel()[ends[:, 0]].astype(np.uint64)
+    # Where a strand lies hidden, nothing else of its layer does.
+    strands = find_strands(surfaces[0][1].labels, seen.cover[-1])
+    for bits in known:
+        layers = seen.passes[-1].layer.ravel()[strands.sides[:, 0]]
+        bits.ravel()[strands.at] |= np.uint64(1) << layers.astype(np.uint64)
     for number in range(1, layering.n_layers):
         own, farthest = sums[number, 1] / max(sums[number, 0], 1e-9), sums[number, 2]
         level = min(max(int(np.log2(max(own, 1.0) / FINENESS)), 0), COARSEST)
@@ -134,15 +136,10 @@ def find_behind(
             places = _places(cells[0], features, corner, unlike) if places is None else places
             looked_up = (cells[0], features, gap), (corner, *places), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
-    lists = []
-    for frame, found, each in zip(frames, hidden, known, strict=True):
-        extra = None
-        if threads is not None:
-            at, ends, share = threads
-            f = take_features(frame[-1][0], first).reshape(-1, n_features)
-            extra = at, share, 0.5 * (f[ends[:, 0]] + f[ends[:, 1]])
-        lists.append(Behind(_listed(first, *found[1:], extra), each))
-    return lists
+    return [
+        Behind(_listed(frame[-1][0], first, *found[1:], strands), each)
+        for frame, found, each in zip(frames, hidden, known, strict=True)
+    ]
 
 
 def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, DoubleArray, Image]:
@@ -247,32 +244,19 @@ def _places(
     return found
 
 
-def _hidden_threads(seen, frames):
-    labels = frames[0][-1][1].labels
-    place = np.ascontiguousarray(labels.coc)
-    blur = np.abs(labels.coc) + 0.5 * labels.length
-    share, ends = np.zeros(place.shape, np.float32), np.empty((*place.shape, 2), np.int32)
-    for_bands(_thread_kernels.find_threads, len(place), place, blur, 1.0, share, ends)
-    at = np.flatnonzero(share)
-    if not len(at): return None
-    ends = ends.reshape(-1, 2)[at]
-    cover = seen.cover[-1].ravel()
-    return at, ends, share.ravel()[at] * cover[at] * 0.5 * (cover[ends[:, 0]] + cover[ends[:, 1]])
-
-
-def _listed(first: Layer, share: Image, features: Image, extra) -> Surface | None:
-    """Return a list of the pixels in which something lies hidden."""
+def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:
+    """Return a list of the pixels of a frame in which something lies hidden, strands of the frame's colours too."""
     chosen = np.flatnonzero(share)
-    n = len(chosen)
-    share, features = share.ravel()[chosen], features.reshape(-1, features.shape[2])[chosen]
-    if extra is not None:
-        chosen = np.concatenate([chosen, extra[0]]); share = np.concatenate([share, extra[1]]); features=np.concatenate([features, extra[2]])
-    if not len(chosen):
+    number, part, shown = chosen, share.ravel()[chosen], features.reshape(-1, features.shape[2])[chosen]
+    if len(strands.at):
+        on_sides = take_features(frame, first).reshape(-1, features.shape[2])[strands.sides].mean(axis=1)
+        number, part = np.concatenate([number, strands.at]), np.concatenate([part, strands.share])
+        order = np.argsort(number, kind="stable")
+        number, part, shown = number[order], part[order], np.concatenate([shown, on_sides])[order]
+    if not len(number):
         return None
-    order = np.argsort(chosen, kind="stable")
-    chosen, share, features = chosen[order], share[order], features[order]
-    index = rows_of(np.arange(len(chosen)))
-    at = np.stack(np.divmod(chosen[index], first.shape[1]), axis=-1).astype(np.int32)
-    part = share[index]
-    part.ravel()[len(chosen) :] = 0.0
-    return Surface(with_features(first, features[index]), part, at)
+    index = rows_of(np.arange(len(number)))
+    at = np.stack(np.divmod(number[index], share.shape[1]), axis=-1).astype(np.int32)
+    part = part[index]
+    part.ravel()[len(number) :] = 0.0
+    return Surface(with_features(first, shown[index]), part, at)

@@ -194,3 +194,25 @@ def test_other_colours_are_divided_among_the_same_surfaces_in_the_same_shares(sh
     for own, share in divided:
         seen = inner((own.depth < 3.0) & (share > 0.3) & (share < 1.0))
         assert np.abs(inner(own.radiance)[seen][:, :3] - near).max(initial=0.0) < 0.35
+
+
+@pytest.mark.interpreted
+def test_strands_have_no_gaps():
+    """A strand of .5 px at 6 degrees: ten rows of each twenty have no point sample in it."""
+    slope, width = np.tan(np.radians(6.0)), 0.5
+    layer, coverage = drawn(lambda x, y: np.abs(x - 24.2 - slope * (y - 24.0)) < 0.5 * width, size=48)
+    sampled = (layer.depth == NEAR).any(axis=1)
+    assert 0.3 < sampled.mean() < 0.7
+    place = surfaces.places(layer, CAMERA)
+    closed, places = surfaces.without_gaps(layer, place)
+    assert ((closed.depth == NEAR).any(axis=1)[4:-4]).all() and np.array_equal(closed.depth == NEAR, places == place.min())
+    found = near_share(in_frame(split_surfaces(layer, CAMERA), layer.shape)).sum(axis=1)[6:-6]
+    assert np.abs(found - coverage.sum(axis=1)[6:-6]).mean() < 0.2 * width
+
+
+@pytest.mark.interpreted
+def test_tips_that_point_at_each_other_are_no_strand():
+    """Nothing is put between the points of two leaves."""
+    shape = lambda x, y: (np.abs(y - 12.0) < 0.3 * np.abs(x - 12.0)) & (np.abs(np.abs(x - 12.0) - 7.0) < 5.0)  # noqa: E731
+    layer, _ = drawn(shape)
+    assert surfaces.without_gaps(layer, surfaces.places(layer, CAMERA))[0] is layer

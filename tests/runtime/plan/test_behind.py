@@ -149,3 +149,21 @@ def test_a_frame_with_overscan_finds_what_the_wide_frame_does():
         colours[rows, cols] = pixels.radiance[drawn]
         found.append(colours[24:40, 24:40])
     assert found[0].any() and np.abs(found[0] - found[1]).max() < 1e-5
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("angle", (0.0, 40.0))
+def test_a_strand_goes_on_behind_a_post(angle):
+    """A stalk in focus crosses a post out of focus, before a wall out of focus: as wide, as bright, along its line."""
+    radiance, depth = np.full((SIZE, SIZE, 3), 0.4), np.full((SIZE, SIZE), depth_of(8.0))
+    rows, cols = np.indices((SIZE, SIZE)) - SIZE / 2 + 0.25
+    across = np.abs(rows * np.cos(np.radians(angle)) - cols * np.sin(np.radians(angle)))
+    stalk = across < 1.0
+    radiance[stalk], depth[stalk] = (0.1, 0.8, 0.1), depth_of(0.0)
+    radiance[:, POST], depth[:, POST] = (0.5, 0.1, 0.1), depth_of(-6.0)
+    colours, share = hidden(Frame(radiance, depth).layers[0])
+    inside = np.zeros((SIZE, SIZE), bool)
+    inside[:, POST] = True
+    green = share * (colours[..., 1] > 2 * colours[..., 0])
+    assert (green[stalk & inside] > 0.6).mean() > 0.9
+    assert green[inside & (across > 2.5)].sum() == 0.0

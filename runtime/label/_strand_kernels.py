@@ -1,0 +1,149 @@
+"""Compiled kernels that close the gaps which point samples of the depth leave in strands thinner than a pixel."""
+
+import math
+
+from spreadlets.compiled import helper, kernel
+
+LONGEST_GAP = 10
+"""Px: so far apart two pixels' centres may lie in a strand a few tenths of a pixel wide."""
+ALIKE = 0.5
+"""Largest difference of places from end to end of a gap, as a share of that which parts two surfaces."""
+LOOK, LEAST_LOOK = 2, 6
+"""A strand is looked for beyond the ends of a gap over so many times the gap's length, and at least so many pixels."""
+LEAST_HITS = 2
+"""Its pixels that must lie there, beyond each end."""
+
+
+@kernel
+def find_thin(begin, end, place, gap, thin):
+    """Mark the pixels that both neighbours in a row, or in a column, lie behind.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    gap : float
+        Difference of places that parts two surfaces.
+    thin : ndarray of shape (H, W), bool
+        Filled.
+    """
+    height, width = place.shape
+    for row in range(begin, end):
+        above, below = place[max(row - 1, 0)], place[min(row + 1, height - 1)]
+        for col in range(width):
+            least = place[row, col] + gap
+            across = (place[row, max(col - 1, 0)] >= least) & (place[row, min(col + 1, width - 1)] >= least)
+            thin[row, col] = across | ((above[col] >= least) & (below[col] >= least))
+
+
+@helper
+def _on_line(row, col, down, across, step, steps):
+    """Return the pixel after some of the steps from a pixel to the one so many rows and columns away."""
+    return int(math.floor(row + down * step / steps + 0.5)), int(math.floor(col + across * step / steps + 0.5))
+
+
+@helper
+def _ends_towards(place, row, col, down, across, most):
+    """Return whether a strand ends in a pixel towards a direction: those of its pixels beside it lie the other way."""
+    height, width = place.shape
+    for i in range(max(row - 1, 0), min(row + 2, height)):
+        for j in range(max(col - 1, 0), min(col + 2, width)):
+            ahead = (i - row) * down + (j - col) * across >= 0 and (i != row or j != col)
+            if ahead and abs(place[i, j] - place[row, col]) < most:
+                return False
+    return True
+
+
+@helper
+def _is_gap(place, row, col, down, across, most):
+    """Return whether a strand ends in a pixel, goes on so many rows and columns away, and is not seen between."""
+    steps = max(down, abs(across))
+    if steps < 2 or not _ends_towards(place, row, col, down, across, most):
+        return False
+    if not _ends_towards(place, row + down, col + across, -down, -across, most):
+        return False
+    for step in range(1, steps):
+        if abs(place[_on_line(row, col, down, across, step, steps)] - place[row, col]) < most:
+            return False
+    return True
+
+
+@helper
+def _count_hits(place, thin, row, col, down, across, here, most):
+    """Return how many of the steps that follow from a pixel meet thin pixels of a strand, or have one beside them."""
+    height, width = place.shape
+    steps, upright = max(abs(down), abs(across)), abs(down) >= abs(across)
+    hits = 0
+    for step in range(1, max(LOOK * steps, LEAST_LOOK) + 1):
+        i, j = _on_line(row, col, down, across, step, steps)
+        for side in range(-1, 2):
+            y, x = (i, j + side) if upright else (i + side, j)
+            if 0 <= y < height and 0 <= x < width and thin[y, x] and abs(place[y, x] - here) < most:
+                hits += 1
+                break
+    return hits
+
+
+@kernel
+def find_gaps(begin, end, place, thin, gap, ends):
+    """Find where strands go on after a gap below, or to the right, of each of their pixels.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+    thin : ndarray of shape (H, W), bool
+        See `find_thin`.
+    gap : float
+    ends : ndarray of shape (H, W, 2), int8
+        Filled with how many rows and columns away that is; (0, 0) where there is no gap.
+    """
+    height, width = place.shape
+    most = ALIKE * gap
+    for row in range(begin, end):
+        for col in range(width):
+            ends[row, col, 0] = ends[row, col, 1] = 0
+            if not thin[row, col]:
+                continue
+            here, best = place[row, col], 0.0
+            for down in range(min(LONGEST_GAP, height - 1 - row) + 1):
+                first = max(-LONGEST_GAP, -col) if down else 2
+                for across in range(first, min(LONGEST_GAP, width - 1 - col) + 1):
+                    # Look for an end of the same strand.
+                    if not thin[row + down, col + across] or abs(place[row + down, col + across] - here) >= most:
+                        continue
+                    if not _is_gap(place, row, col, down, across, most):
+                        continue
+                    # Beyond both, it must lie along the same line. Of several, take the near one with most of it.
+                    before = _count_hits(place, thin, row, col, -down, -across, here, most)
+                    after = _count_hits(place, thin, row + down, col + across, down, across, here, most)
+                    score = (before + after) / (down * down + across * across)
+                    if min(before, after) >= LEAST_HITS and score > best:
+                        best = score
+                        ends[row, col, 0], ends[row, col, 1] = down, across
+
+
+@kernel
+def close_gaps(begin, end, place, ends, gap, closed, source):
+    """Put strands into their gaps, where nothing nearer hides them. All rows are done in one call.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+    ends : ndarray of shape (H, W, 2), int8
+        See `find_gaps`.
+    gap : float
+    closed : ndarray of shape (H, W), float32
+        As ``place``; changed where a strand lies.
+    source : ndarray of shape (H, W, 2), int32
+        Row and column of the pixel that has each pixel's labels; changed there, too.
+    """
+    for row in range(begin, end):
+        for col in range(place.shape[1]):
+            down, across = int(ends[row, col, 0]), int(ends[row, col, 1])
+            steps = max(down, abs(across))
+            for step in range(1, steps):
+                at = _on_line(row, col, down, across, step, steps)
+                y, x = (row, col) if 2 * step < steps else (row + down, col + across)
+                if closed[at] - place[y, x] >= gap:
+                    closed[at] = place[y, x]
+                    source[at[0], at[1], 0], source[at[0], at[1], 1] = y, x
