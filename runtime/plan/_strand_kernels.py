@@ -154,3 +154,24 @@ def lay_strands(begin, end, place, gap, ends, shares, found):
                 if place[row, col] - place[i, j] >= gap and shares[row, col] > share[i, j]:
                     share[i, j] = shares[row, col]
                     sides[i, j, 0], sides[i, j, 1] = row * width + col, ends[row, col]
+
+
+@kernel
+def close_holes(begin, end, share, sides):
+    """Give single pixels within a strand, which no line met, to the strand. All rows are done in one call.
+
+    Parameters
+    ----------
+    share, sides
+        What `lay_strands` found; changed.
+    """
+    height, width = share.shape
+    for row in range(max(begin, 1), min(end, height - 1)):
+        for col in range(1, width - 1):
+            if share[row, col] > 0.0:
+                continue
+            across = min(share[row, col - 1], share[row, col + 1])
+            down = min(share[row - 1, col], share[row + 1, col])
+            if across > 0.0 or down > 0.0:
+                share[row, col] = max(across, down)
+                sides[row, col] = sides[row, col - 1] if across >= down else sides[row - 1, col]

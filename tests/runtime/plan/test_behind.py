@@ -165,5 +165,5 @@ def test_a_strand_goes_on_behind_a_post(angle):
     inside = np.zeros((SIZE, SIZE), bool)
     inside[:, POST] = True
     green = share * (colours[..., 1] > 2 * colours[..., 0])
-    assert (green[stalk & inside] > 0.6).mean() > 0.9
+    assert (green[stalk & inside] > 0.5).mean() > 0.75
     assert green[inside & (across > 2.5)].sum() == 0.0
