@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _blend_kernels, _label_kernels, _strand_kernels, _surface_kernels
+from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scene.camera import ThinLens
@@ -296,13 +296,13 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
         Its depths as CoC radii, px.
     """
     height, thin = len(place), np.empty(layer.shape, np.bool_)
-    for_bands(_strand_kernels.find_thin, height, place, LEAST_GAP, thin)
+    for_bands(_gap_kernels.find_thin, height, place, LEAST_GAP, thin)
     ends = np.empty((*layer.shape, 2), np.int8)
-    for_bands(_strand_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
+    for_bands(_gap_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
     if not ends.any():
         return layer, place
-    closed, source = place.copy(), np.stack(np.indices(layer.shape, np.int32), axis=-1)
-    _strand_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
+    closed, source = place.copy(), np.moveaxis(np.indices(layer.shape, np.int32), 0, -1).copy()
+    _gap_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
     return _surface(layer, layer.radiance, source), closed
 
 

@@ -416,7 +416,7 @@ def border_jump(lab: Lab, axis: str) -> float:
     for place in itertools.islice(axis_borders(lab, number), 0, None, lab.size(40, 1)):
         step[number] = 1e-6 * place[number]
         half = math.ceil(place[0] + 0.5 * place[1]) + 7
-        before, after = (spot_image(lab, *(np.array(place) + side * step), half) for side in (-1, 1))
+        before, after = (spot_image(lab, *(np.array(place) + side * step), half=half) for side in (-1, 1))
         traced = true_jump(lab, np.array(place) - step, np.array(place) + step)
         excess = max(excess, float(np.abs(after - before).sum()) - traced)
     return excess

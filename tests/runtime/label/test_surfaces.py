@@ -205,7 +205,9 @@ def test_strands_have_no_gaps():
     assert 0.3 < sampled.mean() < 0.7
     place = surfaces.places(layer, CAMERA)
     closed, places = surfaces.without_gaps(layer, place)
-    assert ((closed.depth == NEAR).any(axis=1)[4:-4]).all() and np.array_equal(closed.depth == NEAR, places == place.min())
+    assert ((closed.depth == NEAR).any(axis=1)[4:-4]).all() and np.array_equal(
+        closed.depth == NEAR, places == place.min()
+    )
     # Whether little of it or much of a paler one, its light is that of the strand.
     passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
     light = sum(share * (each.depth < 3.0) * (each.radiance[..., 0] - BLUE[0]) for each, share in passes)
