@@ -372,8 +372,9 @@ def axis_borders(lab: Lab, axis: int) -> list[tuple[float, float]]:
     return [(float(coc), float(motion)) for coc, motion in places]
 
 
-def spot_image(lab: Lab, coc: float, length: float, half: int) -> Array:
-    """Return the image (2 * half + 1 pixels square) of a bright pixel with that PSF, moving to the right."""
+def spot_image(lab: Lab, place: Array, half: int) -> Array:
+    """Return the image (2 * half + 1 pixels square) of a bright pixel, moving to the right."""
+    coc, length = (float(each) for each in place)
     size = 2 * half + 1
     return lab.render(frame_of(spot(size, half, half), -coc, (length, 0.0)))[..., 0]
 
@@ -416,7 +417,7 @@ def border_jump(lab: Lab, axis: str) -> float:
     for place in itertools.islice(axis_borders(lab, number), 0, None, lab.size(40, 1)):
         step[number] = 1e-6 * place[number]
         half = math.ceil(place[0] + 0.5 * place[1]) + 7
-        before, after = (spot_image(lab, *(np.array(place) + side * step), half=half) for side in (-1, 1))
+        before, after = (spot_image(lab, np.array(place) + side * step, half) for side in (-1, 1))
         traced = true_jump(lab, np.array(place) - step, np.array(place) + step)
         excess = max(excess, float(np.abs(after - before).sum()) - traced)
     return excess
