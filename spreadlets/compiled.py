@@ -140,7 +140,7 @@ def _can_be_written(folder: Path) -> bool:
 @cache
 def _state_of_kernels() -> str:
     """Return a digest of all files with kernels, and of how they are compiled: what is kept is valid for this."""
-    digest = hashlib.sha256(Path(__file__).read_bytes() + (PACKAGE / "kernel_compiler.py").read_bytes())
+    digest = hashlib.sha256(Path(__file__).read_bytes() + Path(__file__).with_name("kernel_compiler.py").read_bytes())
     for folder, _, names in sorted(os.walk(PACKAGE, followlinks=True)):
         for name in sorted(names):
             if name.endswith("_kernels.py"):

@@ -24,19 +24,19 @@ USUALLY_SAMPLED = 24
 LARGE_COC = 4.0
 """CoC radius, px: smaller PSFs are little more than their edge, and have limits of their own."""
 
-LEAST_SIMILARITY = 0.965
+LEAST_SIMILARITY = 0.955
 """Of any spreadlet of a large CoC."""
 
 LEAST_SMALL_SIMILARITY = 0.97
 """Of any other: most are drawn in full, all but their faintest pixels."""
 
-MEAN_SIMILARITY = 0.975
+MEAN_SIMILARITY = 0.97
 """Over the sampled spreadlets of large CoC."""
 
 MEAN_SPARSITY = {
-    "combined": (0.115, 0.39),
-    "simplelens": (0.28, 0.95),
-    FRESH: (0.225, 0.7),
+    "combined": (0.17, None),
+    "simplelens": (0.38, None),
+    FRESH: (0.225, None),
     "physicallens": (0.28, 0.57),
     "stylized": (0.42, 0.95),
     "volume": (0.008, None),
