@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -214,7 +214,8 @@ class _Cluster:
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[Task, Result | Exception]]:
         """Yield tasks and results as they come, and stop if the cluster is gone."""
-        waiting, running = iter(tasks), dict[str, tuple[Any, Task]]()
+        waiting: Iterator[Task] = iter(tasks)
+        running = dict[str, tuple[Any, Task]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         while True:
             # Give the cluster as much as it can begin soon.
@@ -229,6 +230,11 @@ class _Cluster:
             try:
                 future = ended.get(timeout=WATCH_S)
             except queue.Empty:
+                continue
+            if future.status in GIVEN_UP and self._client.status == "running":
+                # The scheduler is there, but lost sight of the task with its worker: it is handed out again.
+                waiting = chain([running.pop(future.key)[1]], waiting)
+                time.sleep(RETRY_S)
                 continue
             try:
                 result = self._result(future)
