@@ -37,7 +37,7 @@ def find_thin(begin, end, place, gap, thin):
 
 
 @helper
-def _on_line(row, col, down, across, step, steps):
+def on_line(row, col, down, across, step, steps):
     """Return the pixel after some of the steps from a pixel to the one so many rows and columns away."""
     return int(math.floor(row + down * step / steps + 0.5)), int(math.floor(col + across * step / steps + 0.5))
 
@@ -63,7 +63,7 @@ def _is_gap(place, row, col, down, across, most):
     if not _ends_towards(place, row + down, col + across, -down, -across, most):
         return False
     for step in range(1, steps):
-        if abs(place[_on_line(row, col, down, across, step, steps)] - place[row, col]) < most:
+        if abs(place[on_line(row, col, down, across, step, steps)] - place[row, col]) < most:
             return False
     return True
 
@@ -75,7 +75,7 @@ def _count_hits(place, thin, row, col, down, across, here, most):
     steps, upright = max(abs(down), abs(across)), abs(down) >= abs(across)
     hits = 0
     for step in range(1, max(LOOK * steps, LEAST_LOOK) + 1):
-        i, j = _on_line(row, col, down, across, step, steps)
+        i, j = on_line(row, col, down, across, step, steps)
         for side in range(-1, 2):
             y, x = (i, j + side) if upright else (i + side, j)
             if 0 <= y < height and 0 <= x < width and thin[y, x] and abs(place[y, x] - here) < most:
@@ -142,7 +142,7 @@ def close_gaps(begin, end, place, ends, gap, closed, source):
             down, across = int(ends[row, col, 0]), int(ends[row, col, 1])
             steps = max(down, abs(across))
             for step in range(1, steps):
-                at = _on_line(row, col, down, across, step, steps)
+                at = on_line(row, col, down, across, step, steps)
                 y, x = (row, col) if 2 * step < steps else (row + down, col + across)
                 if closed[at] - place[y, x] >= gap:
                     closed[at] = place[y, x]

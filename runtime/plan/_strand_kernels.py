@@ -3,6 +3,7 @@
 import math
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.label._gap_kernels import on_line
 
 N_ANGLES = 64
 """Directions in which a strand may go on."""
@@ -149,8 +150,7 @@ def lay_strands(begin, end, place, gap, ends, shares, found):
             down, across = ends[row, col] // width - row, ends[row, col] % width - col
             steps = max(abs(down), abs(across))
             for step in range(1, steps):
-                i = int(math.floor(row + down * step / steps + 0.5))
-                j = int(math.floor(col + across * step / steps + 0.5))
+                i, j = on_line(row, col, down, across, step, steps)
                 if place[row, col] - place[i, j] >= gap and shares[row, col] > share[i, j]:
                     share[i, j] = shares[row, col]
                     sides[i, j, 0], sides[i, j, 1] = row * width + col, ends[row, col]

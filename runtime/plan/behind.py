@@ -109,9 +109,9 @@ def find_behind(
     nearer = np.zeros(shape, np.float32)
     # Where a strand lies hidden, nothing else of its layer does.
     strands = find_strands(surfaces[0][1].labels, seen.cover[-1])
+    theirs = np.uint64(1) << seen.passes[-1].layer.ravel()[strands.sides[:, 0]].astype(np.uint64)
     for bits in known:
-        layers = seen.passes[-1].layer.ravel()[strands.sides[:, 0]]
-        bits.ravel()[strands.at] |= np.uint64(1) << layers.astype(np.uint64)
+        bits.ravel()[strands.at] |= theirs
     for number in range(1, layering.n_layers):
         own, farthest = sums[number, 1] / max(sums[number, 0], 1e-9), sums[number, 2]
         level = min(max(int(np.log2(max(own, 1.0) / FINENESS)), 0), COARSEST)
