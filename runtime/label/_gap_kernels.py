@@ -21,7 +21,7 @@ def find_thin(begin, end, place, gap, thin):
     Parameters
     ----------
     place : ndarray of shape (H, W), float32
-        Where surfaces lie in depth, as CoC radii, px.
+        Where surfaces lie in depth, as CoC radii, px; infinity where there is none.
     gap : float
         Difference of places that parts two surfaces.
     thin : ndarray of shape (H, W), bool
@@ -31,9 +31,11 @@ def find_thin(begin, end, place, gap, thin):
     for row in range(begin, end):
         above, below = place[max(row - 1, 0)], place[min(row + 1, height - 1)]
         for col in range(width):
-            least = place[row, col] + gap
-            across = (place[row, max(col - 1, 0)] >= least) & (place[row, min(col + 1, width - 1)] >= least)
-            thin[row, col] = across | ((above[col] >= least) & (below[col] >= least))
+            # Differences from infinity to infinity are not numbers, and so no gaps.
+            here = place[row, col]
+            left, right = place[row, max(col - 1, 0)] - here, place[row, min(col + 1, width - 1)] - here
+            over, under = above[col] - here, below[col] - here
+            thin[row, col] = ((left >= gap) & (right >= gap)) | ((over >= gap) & (under >= gap))
 
 
 @helper

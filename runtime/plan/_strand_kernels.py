@@ -33,7 +33,7 @@ def _leaves(place, row, col, down, across, gap):
 
 
 @helper
-def _is_thin(place, row, col, gap):
+def _is_narrow(place, row, col, gap):
     """Return whether a surface ends on both sides in a row or a column, before something farther on one at least."""
     left, right = _leaves(place, row, col, 0, -1, gap), _leaves(place, row, col, 0, 1, gap)
     if left >= 0 and right >= 0 and left + right > 0:
@@ -105,7 +105,7 @@ def find_strands(begin, end, place, blur, gap, ends, shares):
     for row in range(begin, end):
         for col in range(width):
             ends[row, col], shares[row, col] = -1, LEAST_SHARE
-            if not _is_hidden_beside(place, row, col, gap) or not _is_thin(place, row, col, gap):
+            if not _is_hidden_beside(place, row, col, gap) or not _is_narrow(place, row, col, gap):
                 continue
             here = place[row, col]
             for turn in range(N_ANGLES):
@@ -121,7 +121,7 @@ def find_strands(begin, end, place, blur, gap, ends, shares):
                     continue
                 # Is it there again behind?
                 i, j = int(math.floor(row + steps * down + 0.5)), int(math.floor(col + steps * across + 0.5))
-                if abs(place[i, j] - here) >= most or not _is_thin(place, i, j, gap):
+                if abs(place[i, j] - here) >= most or not _is_narrow(place, i, j, gap):
                     continue
                 y, x = row + steps * down, col + steps * across
                 share = min(own, _support(place, y, x, down, across, here, most))

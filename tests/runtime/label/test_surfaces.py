@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spreadlets.runtime.label import surfaces
+from spreadlets.runtime.label import _gap_kernels, surfaces
 from spreadlets.runtime.label.surfaces import SharedSurfaces, depth_is_filtered, split_surfaces, without_nothing
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -221,3 +221,14 @@ def test_tips_that_point_at_each_other_are_no_strand():
     shape = lambda x, y: (np.abs(y - 12.0) < 0.3 * np.abs(x - 12.0)) & (np.abs(np.abs(x - 12.0) - 7.0) < 5.0)  # noqa: E731
     layer, _ = drawn(shape)
     assert surfaces.without_gaps(layer, surfaces.places(layer, CAMERA))[0] is layer
+
+
+@pytest.mark.interpreted
+def test_where_there_is_nothing_there_is_no_strand():
+    """Empty pixels are as far away as each other, so none of them lies before another, and none is looked at."""
+    layer, coverage = drawn(lambda x, y: x + 0.3 * y < 12.0, alpha=True)
+    place = surfaces.places(layer, CAMERA)
+    place[coverage == 0.0] = np.inf
+    thin = np.ones(place.shape, np.bool_)
+    _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, thin)
+    assert not thin[np.isinf(place)].any()
