@@ -23,7 +23,7 @@ UNUSED = (InlineClosureLikes, InlineInlinables, NopythonRewrites)
 
 
 class _HelperCode(JITCodeLibrary):
-    """The code of a helper: optimised, but no machine code."""
+    """The code of a helper: no machine code, and optimised once, without the passes for counting references."""
 
     def finalize(self) -> None:
         for library in dict.fromkeys(self._linking_libraries):
@@ -31,7 +31,8 @@ class _HelperCode(JITCodeLibrary):
             # What manages memory is linked into each kernel anyway.
             if library is not rtsys.library:
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        self._optimize_final_module()
+        optimise, builder = self._codegen._module_pass_manager()
+        optimise.run(self._final_module, builder)
         self._finalized = True
 
 

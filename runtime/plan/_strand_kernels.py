@@ -173,5 +173,6 @@ def close_holes(begin, end, share, sides):
             across = min(share[row, col - 1], share[row, col + 1])
             down = min(share[row - 1, col], share[row + 1, col])
             if across > 0.0 or down > 0.0:
+                i, j = (row, col - 1) if across >= down else (row - 1, col)
                 share[row, col] = max(across, down)
-                sides[row, col] = sides[row, col - 1] if across >= down else sides[row - 1, col]
+                sides[row, col, 0], sides[row, col, 1] = sides[i, j, 0], sides[i, j, 1]
