@@ -35,7 +35,8 @@ def find_thin(begin, end, place, gap, thin):
             here = place[row, col]
             left, right = place[row, max(col - 1, 0)] - here, place[row, min(col + 1, width - 1)] - here
             over, under = above[col] - here, below[col] - here
-            thin[row, col] = ((left >= gap) & (right >= gap)) | ((over >= gap) & (under >= gap))
+            across = (min(abs(left), abs(right)) >= gap) & (max(left, right) >= gap)
+            thin[row, col] = across | ((min(abs(over), abs(under)) >= gap) & (max(over, under) >= gap))
 
 
 @helper

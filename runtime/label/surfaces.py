@@ -111,6 +111,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     if not sum(for_bands(_surface_kernels.divide_pixels, height, *given)):
         yield Surface(layer)
         return
+    even(place, layer.radiance, first, (found[0], found[1], found[2], colours))
     yield Surface(replace(layer, radiance=first[1]), first[0])
     for number in range(1, most):
         chosen = np.flatnonzero(found[1][:, number])
@@ -120,6 +121,33 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             listed = share[index, number]
             listed.ravel()[len(chosen) :] = 0.0
             yield Surface(_surface(layer, colours[index, number], taken), listed, at[index])
+
+
+def even(place, radiance, first, found):
+    from spreadlets.runtime.label import _even_kernels as k
+
+    height = len(place)
+    step = np.zeros(place.shape, np.int8)
+    d = np.diff(place, axis=1)
+    across = np.zeros(place.shape, bool)
+    l, r = -d[:, :-1], d[:, 1:]
+    across[:, 1:-1] = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
+    d = np.diff(place, axis=0)
+    down = np.zeros(place.shape, bool)
+    l, r = -d[:-1], d[1:]
+    down[1:-1] = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
+    step[down] = 2
+    step[across] = 1
+    index = np.full(place.shape, -1, np.int32)
+    ok = found[1][:, 0] > 0
+    ok = found[1].any(axis=1)
+    at = found[0][ok]
+    index[at[:, 0], at[:, 1]] = np.flatnonzero(ok)
+    total, mean = np.empty((2, *place.shape), np.float32)
+    light, mean_light = np.empty((2, *place.shape, 4), np.float32)
+    k.measure_strands(0, height, place, step, index, found, LEAST_GAP, total, light)
+    k.average_strands(0, height, place, step, total, light, LEAST_GAP, mean, mean_light)
+    k.even_strands(0, height, place, radiance, step, index, LEAST_GAP, total, mean, mean_light, first, found)
 
 
 def weigh_pixels(
