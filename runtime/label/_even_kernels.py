@@ -13,6 +13,7 @@ LONGEST = 14
 ALONG = 7.0
 """Deviation, px, of the average's weights."""
 LEAST_LENGTH = 5
+SKIP = 3
 ALIKE = 0.5
 """Largest difference of places of a strand's pixels, as a share of that which parts two surfaces."""
 
@@ -57,8 +58,8 @@ def measure_strands(begin, end, place, thin, index, found, gap, total, light):
             covered = np.float32(0.0)
             for c in range(4):
                 light[row, col, c] = 0.0
-            for step in range(-BESIDE, BESIDE + 1):
-                i, j = (row, col + step) if thin[row, col] == 1 else (row + step, col)
+            for step in range(-BESIDE, BESIDE + (thin[row, col] + 1) // 2):
+                i, j = (row, col + step) if thin[row, col] % 2 == 1 else (row + step, col)
                 if not (0 <= i < height and 0 <= j < width) or index[i, j] < 0:
                     continue
                 number = index[i, j]
@@ -87,15 +88,20 @@ def average_strands(begin, end, place, thin, total, light, gap, mean, mean_light
             for side in (-1, 1):
                 # Follow the strand pixel by pixel.
                 i, j = row, col
-                for step in range(1, LONGEST + 1):
+                step = 0
+                while step < LONGEST:
                     ahead = False
-                    for k in range(3):
-                        shift = 0 if k == 0 else 2 * k - 3
-                        y, x = (i + side, j + shift) if thin[row, col] == 1 else (i + shift, j + side)
-                        if 0 <= y < height and 0 <= x < width and total[y, x] >= 0.0 and thin[y, x] == thin[row, col]:
-                            if abs(place[y, x] - place[row, col]) < ALIKE * gap:
-                                ahead = True
-                                break
+                    for reach in range(1, SKIP + 1):
+                        for k in range(2 * reach + 1):
+                            shift = (k + 1) // 2 * (1 if k % 2 else -1)
+                            y, x = (i + side * reach, j + shift) if thin[row, col] % 2 == 1 else (i + shift, j + side * reach)
+                            if 0 <= y < height and 0 <= x < width and total[y, x] >= 0.0 and (thin[y, x] - thin[row, col]) % 2 == 0:
+                                if abs(place[y, x] - place[row, col]) < ALIKE * gap:
+                                    ahead = True
+                                    break
+                        if ahead:
+                            step += reach
+                            break
                     if not ahead:
                         break
                     i, j = y, x
@@ -145,8 +151,8 @@ def even_strands(begin, end, place, radiance, thin, index, gap, total, mean, mea
         for col in range(width):
             if mean[row, col] <= 0.0:
                 continue
-            for step in range(-BESIDE, BESIDE + 1):
-                i, j = (row, col + step) if thin[row, col] == 1 else (row + step, col)
+            for step in range(-BESIDE, BESIDE + (thin[row, col] + 1) // 2):
+                i, j = (row, col + step) if thin[row, col] % 2 == 1 else (row + step, col)
                 if not (0 <= i < height and 0 <= j < width) or index[i, j] < 0:
                     continue
                 number = index[i, j]

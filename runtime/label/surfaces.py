@@ -128,16 +128,21 @@ def even(place, radiance, first, found):
 
     height = len(place)
     step = np.zeros(place.shape, np.int8)
-    d = np.diff(place, axis=1)
-    across = np.zeros(place.shape, bool)
-    l, r = -d[:, :-1], d[:, 1:]
-    across[:, 1:-1] = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
-    d = np.diff(place, axis=0)
-    down = np.zeros(place.shape, bool)
-    l, r = -d[:-1], d[1:]
-    down[1:-1] = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
-    step[down] = 2
-    step[across] = 1
+    import os
+    W = int(os.environ.get("WIDE", "2"))
+    for width in range(W, 0, -1):
+        for axis, code in ((0, 2), (1, 1)):
+            p = np.moveaxis(place, axis, 1)
+            mark = np.zeros(p.shape, bool)
+            n = p.shape[1] - width - 1
+            before, here, after = p[:, :n], p[:, 1:n + 1], p[:, width + 1:width + 1 + n]
+            with np.errstate(invalid="ignore"):
+                l, r = before - here, after - here
+                ok = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
+                for m in range(1, width):
+                    ok &= abs(p[:, 1 + m:n + 1 + m] - here) < 0.5 * LEAST_GAP
+            mark[:, 1:n + 1] = ok
+            step[np.moveaxis(mark, 1, axis)] = code + 2 * (width - 1)
     index = np.full(place.shape, -1, np.int32)
     ok = found[1][:, 0] > 0
     ok = found[1].any(axis=1)
