@@ -4,6 +4,8 @@ import math
 
 from spreadlets.compiled import helper, kernel
 
+UPRIGHT, LEVEL = 1, 2
+"""What is thin in a row, and what is only so in a column."""
 LONGEST_GAP = 10
 """Px: so far apart two pixels' centres may lie in a strand a few tenths of a pixel wide."""
 ALIKE = 0.5
@@ -16,7 +18,9 @@ LEAST_HITS = 2
 
 @kernel
 def find_thin(begin, end, place, gap, thin):
-    """Mark the pixels that both neighbours in a row, or in a column, lie behind.
+    """Mark the pixels in which something is one pixel wide in a row, or in a column.
+
+    Its surface ends on both sides, before something farther on one at least.
 
     Parameters
     ----------
@@ -24,8 +28,8 @@ def find_thin(begin, end, place, gap, thin):
         Where surfaces lie in depth, as CoC radii, px; infinity where there is none.
     gap : float
         Difference of places that parts two surfaces.
-    thin : ndarray of shape (H, W), bool
-        Filled.
+    thin : ndarray of shape (H, W), int8
+        Filled with `UPRIGHT`, `LEVEL` or 0.
     """
     height, width = place.shape
     for row in range(begin, end):
@@ -35,8 +39,11 @@ def find_thin(begin, end, place, gap, thin):
             here = place[row, col]
             left, right = place[row, max(col - 1, 0)] - here, place[row, min(col + 1, width - 1)] - here
             over, under = above[col] - here, below[col] - here
-            across = (min(abs(left), abs(right)) >= gap) & (max(left, right) >= gap)
-            thin[row, col] = across | ((min(abs(over), abs(under)) >= gap) & (max(over, under) >= gap))
+            thin[row, col] = 0
+            if min(abs(over), abs(under)) >= gap and max(over, under) >= gap:
+                thin[row, col] = LEVEL
+            if min(abs(left), abs(right)) >= gap and max(left, right) >= gap:
+                thin[row, col] = UPRIGHT
 
 
 @helper
@@ -94,7 +101,7 @@ def find_gaps(begin, end, place, thin, gap, ends):
     Parameters
     ----------
     place : ndarray of shape (H, W), float32
-    thin : ndarray of shape (H, W), bool
+    thin : ndarray of shape (H, W), int8
         See `find_thin`.
     gap : float
     ends : ndarray of shape (H, W, 2), int8

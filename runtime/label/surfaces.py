@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import BoolArray, Image
+from spreadlets.arrays import BoolArray, Image, IntArray
 from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels
+from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels, _width_kernels
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scene.camera import ThinLens
@@ -111,7 +111,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     if not sum(for_bands(_surface_kernels.divide_pixels, height, *given)):
         yield Surface(layer)
         return
-    even(place, layer.radiance, first, (found[0], found[1], found[2], colours))
+    even_strands(place, layer.radiance, first, (*found, colours))
     yield Surface(replace(layer, radiance=first[1]), first[0])
     for number in range(1, most):
         chosen = np.flatnonzero(found[1][:, number])
@@ -121,38 +121,6 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             listed = share[index, number]
             listed.ravel()[len(chosen) :] = 0.0
             yield Surface(_surface(layer, colours[index, number], taken), listed, at[index])
-
-
-def even(place, radiance, first, found):
-    from spreadlets.runtime.label import _even_kernels as k
-
-    height = len(place)
-    step = np.zeros(place.shape, np.int8)
-    import os
-    W = int(os.environ.get("WIDE", "2"))
-    for width in range(W, 0, -1):
-        for axis, code in ((0, 2), (1, 1)):
-            p = np.moveaxis(place, axis, 1)
-            mark = np.zeros(p.shape, bool)
-            n = p.shape[1] - width - 1
-            before, here, after = p[:, :n], p[:, 1:n + 1], p[:, width + 1:width + 1 + n]
-            with np.errstate(invalid="ignore"):
-                l, r = before - here, after - here
-                ok = (np.minimum(abs(l), abs(r)) >= LEAST_GAP) & (np.maximum(l, r) >= LEAST_GAP)
-                for m in range(1, width):
-                    ok &= abs(p[:, 1 + m:n + 1 + m] - here) < 0.5 * LEAST_GAP
-            mark[:, 1:n + 1] = ok
-            step[np.moveaxis(mark, 1, axis)] = code + 2 * (width - 1)
-    index = np.full(place.shape, -1, np.int32)
-    ok = found[1][:, 0] > 0
-    ok = found[1].any(axis=1)
-    at = found[0][ok]
-    index[at[:, 0], at[:, 1]] = np.flatnonzero(ok)
-    total, mean = np.empty((2, *place.shape), np.float32)
-    light, mean_light = np.empty((2, *place.shape, 4), np.float32)
-    k.measure_strands(0, height, place, step, index, found, LEAST_GAP, total, light)
-    k.average_strands(0, height, place, step, total, light, LEAST_GAP, mean, mean_light)
-    k.even_strands(0, height, place, radiance, step, index, LEAST_GAP, total, mean, mean_light, first, found)
 
 
 def weigh_pixels(
@@ -328,8 +296,7 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
     place : ndarray of shape (H, W), float32
         Its depths as CoC radii, px.
     """
-    height, thin = len(place), np.empty(layer.shape, np.bool_)
-    for_bands(_gap_kernels.find_thin, height, place, LEAST_GAP, thin)
+    height, thin = len(place), _thin(place)
     ends = np.empty((*layer.shape, 2), np.int8)
     for_bands(_gap_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
     if not ends.any():
@@ -337,6 +304,40 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
     closed, source = place.copy(), np.moveaxis(np.indices(layer.shape, np.int32), 0, -1).copy()
     _gap_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
     return _surface(layer, layer.radiance, source), closed
+
+
+def even_strands(
+    place: Image, radiance: Image, first: tuple[Image, Image], found: tuple[IntArray, Image, IntArray, Image]
+) -> None:
+    """Make strands as wide and as bright as they are on average along their line.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px, without gaps.
+    radiance : ndarray of shape (H, W, 4), float32
+    first, found : tuple
+        How the pixels are divided, see `_surface_kernels.divide_pixels`; changed.
+    """
+    height, thin = len(place), _thin(place)
+    strand, mixed = np.full((2, *place.shape), -1, np.int32)
+    divided = np.flatnonzero(found[1].any(axis=1))
+    mixed[tuple(found[0][divided].T)] = divided
+    chosen = (thin > 0) & (mixed >= 0)
+    n = int(chosen.sum())
+    strand[chosen] = np.arange(n)
+    measured, mean = np.empty((2, n, 5), np.float32)
+    for_bands(_width_kernels.measure_strands, height, place, thin, strand, mixed, found, LEAST_GAP, measured)
+    for_bands(_width_kernels.average_strands, height, place, thin, strand, LEAST_GAP, measured, mean)
+    given = place, radiance, thin, strand, mixed, LEAST_GAP, (measured, mean), first, found
+    _width_kernels.even_strands(0, height, *given)
+
+
+def _thin(place: Image) -> npt.NDArray[np.int8]:
+    """Return in which pixels something is one pixel wide, see `_gap_kernels.find_thin`."""
+    thin = np.empty(place.shape, np.int8)
+    for_bands(_gap_kernels.find_thin, len(place), place, LEAST_GAP, thin)
+    return thin
 
 
 def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:

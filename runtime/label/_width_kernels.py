@@ -1,0 +1,195 @@
+"""Compiled kernels that make strands as wide, and as bright, as they are on average along their line.
+
+In a pixel alone, how much of it a strand covers can hardly be told from what colour it has. Along a strand neither
+changes much, while what is behind it does.
+"""
+
+import math
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.label._gap_kernels import ALIKE, UPRIGHT
+
+BESIDE = 2
+"""Px to either side of a strand in which it is seen: filters are up to 3 px wide."""
+LONGEST, ALONG = 14, 7.0
+"""Px along a strand, to either side, over which it is averaged, and deviation of the weights."""
+LONGEST_SKIP = 3
+"""Px to the next pixel of a strand that is followed: another may cross it."""
+LEAST_FOLLOWED = 5
+"""Pixels of a strand, besides the one it is followed from: what is shorter is none."""
+MOST_COVERED = 0.98
+"""Share of a pixel that a strand may be given: others keep some, to hold what the strand's colour does not explain."""
+
+
+@helper
+def _surface_at(found, number, place, here, most):
+    """Return which of a mixed pixel's surfaces lies at a place, -1 if none does."""
+    _, shares, sources, _ = found
+    for s in range(shares.shape[1]):
+        seen = s == 0 or shares[number, s] > 0.0
+        if seen and abs(place[sources[number, s, 0], sources[number, s, 1]] - here) < most:
+            return s
+    return -1
+
+
+@kernel
+def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured):
+    """Sum what strands cover, and their light, across them.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    thin : ndarray of shape (H, W), int8
+        See `find_thin`.
+    strand, mixed : ndarray of shape (H, W), int32
+        Number of each pixel among those of strands, and among the mixed ones; -1 where it is none.
+    found : tuple
+        See `divide_pixels`.
+    gap : float
+        Difference of places that parts two surfaces.
+    measured : ndarray of shape (n, 5), float32
+        Filled for each pixel of a strand: coverage, px, and light.
+    """
+    height, width = place.shape
+    _, shares, _, colours = found
+    for row in range(begin, end):
+        for col in range(width):
+            if strand[row, col] < 0:
+                continue
+            sums = measured[strand[row, col]]
+            for c in range(5):
+                sums[c] = 0.0
+            for step in range(-BESIDE, BESIDE + 1):
+                i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
+                if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
+                    continue
+                number = mixed[i, j]
+                s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
+                if s >= 0:
+                    sums[0] += shares[number, s]
+                    for c in range(4):
+                        sums[1 + c] += shares[number, s] * colours[number, s, c]
+
+
+@helper
+def _next_pixel(place, thin, strand, row, col, side, here, most):
+    """Return the next pixel of a strand on one side along it, and how far that is, px; 0 where it ends."""
+    height, width = place.shape
+    for reach in range(1, LONGEST_SKIP + 1):
+        for turn in range(2 * reach + 1):
+            # Straight on first, then ever more to the left and to the right.
+            shift = (turn + 1) // 2 * (1 if turn % 2 else -1)
+            upright = thin[row, col] == UPRIGHT
+            i, j = (row + side * reach, col + shift) if upright else (row + shift, col + side * reach)
+            if not (0 <= i < height and 0 <= j < width) or strand[i, j] < 0 or thin[i, j] != thin[row, col]:
+                continue
+            if abs(place[i, j] - here) < most:
+                return i, j, reach
+    return row, col, 0
+
+
+@kernel
+def average_strands(begin, end, place, thin, strand, gap, measured, mean):
+    """Average along strands what was measured across them.
+
+    Parameters
+    ----------
+    place, thin, strand, gap, measured
+        See `measure_strands`.
+    mean : ndarray of shape (n, 5), float32
+        Filled alike; with a coverage of -1 where there is too little of a strand.
+    """
+    for row in range(begin, end):
+        for col in range(place.shape[1]):
+            number = strand[row, col]
+            if number < 0:
+                continue
+            weights, followed = 1.0, 0
+            for c in range(5):
+                mean[number, c] = measured[number, c]
+            # Follow the strand from pixel to pixel, to either side.
+            for side in (-1, 1):
+                i, j, away = row, col, 0
+                while away < LONGEST:
+                    i, j, reach = _next_pixel(place, thin, strand, i, j, side, place[row, col], ALIKE * gap)
+                    if reach == 0:
+                        break
+                    away += reach
+                    followed += 1
+                    weight = math.exp(-0.5 * (away / ALONG) ** 2)
+                    weights += weight
+                    for c in range(5):
+                        mean[number, c] += np.float32(weight) * measured[strand[i, j], c]
+            for c in range(5):
+                mean[number, c] /= np.float32(weights)
+            if followed < LEAST_FOLLOWED:
+                mean[number, 0] = -1.0
+
+
+@helper
+def _give(radiance, shares, colours, own, share, light):
+    """Give one surface of a pixel a share and its light, as far as the pixel has it, and the others what is left."""
+    before = shares[own]
+    if before >= 1.0:
+        return
+    scale = (1.0 - share) / (1.0 - before)
+    for c in range(4):
+        given, others = min(light[1 + c], radiance[c]), 0.0
+        for s in range(len(shares)):
+            others += shares[s] * colours[s, c] if s != own else 0.0
+        colours[own, c] = given / share if share > 0.0 else 0.0
+        # By the light that each of the others has; where none has any, alike.
+        brighter = (radiance[c] - given) / (others * scale) if others > 0.0 else 0.0
+        for s in range(len(shares)):
+            if s != own:
+                colours[s, c] = colours[s, c] * brighter if others > 0.0 else (radiance[c] - given) / (1.0 - share)
+    for s in range(len(shares)):
+        shares[s] = share if s == own else shares[s] * scale
+
+
+@kernel
+def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages, first, found):
+    """Give strands the coverage and the light that they have on average. All rows are done in one call.
+
+    Parameters
+    ----------
+    place, thin, strand, mixed, gap
+        See `measure_strands`.
+    radiance : ndarray of shape (H, W, 4), float32
+        The pixels' colours, which those of their surfaces go on adding up to.
+    averages : tuple of two ndarrays of shape (n, 5), float32
+        What was measured across strands, and its means along them.
+    first, found : tuple
+        See `divide_pixels`; changed.
+    """
+    height, width = place.shape
+    _, shares, _, colours = found
+    measured, mean = averages
+    light = np.empty(5)
+    for row in range(begin, end):
+        for col in range(width):
+            of_strand = strand[row, col]
+            if of_strand < 0 or mean[of_strand, 0] <= 0.0:
+                continue
+            for step in range(-BESIDE, BESIDE + 1):
+                i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
+                if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
+                    continue
+                number = mixed[i, j]
+                s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
+                if s < 0:
+                    continue
+                # Across the strand, its coverage stays spread as it was; where none was seen, its own pixel gets all.
+                part = 1.0 if step == 0 else 0.0
+                if measured[of_strand, 0] > 0.0:
+                    part = shares[number, s] / measured[of_strand, 0]
+                share = min(part * mean[of_strand, 0], MOST_COVERED)
+                for c in range(5):
+                    light[c] = mean[of_strand, c] * share / mean[of_strand, 0]
+                _give(radiance[i, j], shares[number], colours[number], s, share, light)
+                first[0][i, j] = shares[number, 0]
+                for c in range(4):
+                    first[1][i, j, c] = colours[number, 0, c]
