@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from spreadlets.compiled import helper, kernel
 
 UPRIGHT, LEVEL = 1, 2
@@ -35,11 +37,11 @@ def find_thin(begin, end, place, gap, thin):
     for row in range(begin, end):
         above, below = place[max(row - 1, 0)], place[min(row + 1, height - 1)]
         for col in range(width):
-            # Differences from infinity to infinity are not numbers, and so no gaps.
-            here = place[row, col]
+            thin[row, col], here = 0, place[row, col]
+            if here == np.inf:
+                continue
             left, right = place[row, max(col - 1, 0)] - here, place[row, min(col + 1, width - 1)] - here
             over, under = above[col] - here, below[col] - here
-            thin[row, col] = 0
             if min(abs(over), abs(under)) >= gap and max(over, under) >= gap:
                 thin[row, col] = LEVEL
             if min(abs(left), abs(right)) >= gap and max(left, right) >= gap:

@@ -62,6 +62,7 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
             sums = measured[strand[row, col]]
             for c in range(5):
                 sums[c] = 0.0
+            # Look at the pixels across it that show its surface.
             for step in range(-BESIDE, BESIDE + 1):
                 i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
                 if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import BoolArray, Image, IntArray
+from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels, _width_kernels
 from spreadlets.runtime.label.lists import rows_of
@@ -30,6 +30,9 @@ MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
 
 
+Indices = npt.NDArray[np.int32]
+
+
 class Surface(NamedTuple):
     """A surface of the pixels of a frame.
 
@@ -45,7 +48,7 @@ class Surface(NamedTuple):
 
     layer: Layer
     share: Image | None = None
-    at: npt.NDArray[np.int32] | None = None
+    at: Indices | None = None
 
     def put(self, values: Image, frame: Image) -> None:
         """Write values of the surface's pixels to where they lie in a frame."""
@@ -307,7 +310,7 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 
 def even_strands(
-    place: Image, radiance: Image, first: tuple[Image, Image], found: tuple[IntArray, Image, IntArray, Image]
+    place: Image, radiance: Image, first: tuple[Image, Image], found: tuple[Indices, Image, Indices, Image]
 ) -> None:
     """Make strands as wide and as bright as they are on average along their line.
 
@@ -340,13 +343,13 @@ def _thin(place: Image) -> npt.NDArray[np.int8]:
     return thin
 
 
-def _surface(layer: Layer, colours: Image, source: npt.NDArray[np.int32]) -> Layer:
+def _surface(layer: Layer, colours: Image, source: Indices) -> Layer:
     """Return a layer of the given colours whose labels are those of the pixels at (row, col)."""
     at_sources = partial(_at_sources, source=source)
     return layer.mapped(at_sources, at_sources, colours)
 
 
-def _at_sources(values: Image, source: npt.NDArray[np.int32]) -> Image:
+def _at_sources(values: Image, source: Indices) -> Image:
     taken = np.empty(source.shape[:2] + values.shape[2:], np.float32)
     n = values[0, 0].size
     given = values.reshape(*values.shape[:2], n), source, taken.reshape(*source.shape[:2], n)

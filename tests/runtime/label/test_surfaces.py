@@ -232,3 +232,30 @@ def test_where_there_is_nothing_there_is_no_strand():
     thin = np.ones(place.shape, np.bool_)
     _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, thin)
     assert not thin[np.isinf(place)].any()
+
+
+def of_strand(width, degrees, size=64):
+    """Return light and coverage, row by row, of a red strand before blue and dark blocks, and how wide it is there."""
+    slope = np.tan(np.radians(degrees))
+    inside = lambda x, y: np.abs(x - 0.5 * size - slope * (y - 0.5 * size)) < 0.5 * width  # noqa: E731
+    layer, coverage = drawn(inside, size=size)
+    rows, cols = np.indices(coverage.shape)
+    blocks = np.where((rows // 5 + cols // 3) % 2, 2.0, 0.2)
+    behind = blocks[..., None] * BLUE
+    colours = coverage[..., None] * RED + (1.0 - coverage[..., None]) * behind
+    layer = replace(layer, radiance=np.dstack([colours, np.ones_like(coverage)]).astype(np.float32))
+    passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
+    total = sum(share * each.radiance[..., :3].astype(float) for each, share in ((p, s[..., None]) for p, s in passes))
+    np.testing.assert_allclose(total, layer.radiance[..., :3], atol=1e-4)
+    near = [(share * (each.depth < 3.0), each.radiance[..., 0]) for each, share in passes]
+    covered = sum(share for share, _ in near).sum(axis=1)
+    light = sum(share * red for share, red in near).sum(axis=1)
+    return tuple(each[12:-12] for each in (light, covered, coverage.sum(axis=1)))
+
+
+@pytest.mark.parametrize("degrees", [4.0, 17.0, 35.0])
+def test_a_strand_is_as_wide_and_as_bright_all_along(degrees):
+    """What is behind it changes from block to block, and it does not."""
+    light, covered, wanted = of_strand(0.6, degrees)
+    assert covered.std() < 0.1 * wanted.mean() and light.std() < 0.15 * RED[0] * wanted.mean()
+    assert abs(light.mean() - RED[0] * wanted.mean()) < 0.1 * RED[0] * wanted.mean()
