@@ -357,18 +357,17 @@ def _at_sources(values: Image, source: Indices) -> Image:
     return taken
 
 
-def take_features(layer: Layer, like: Layer) -> Image:
-    """Return all that is known of a layer's pixels and may be averaged, shape (H, W, n), float32.
+def take_features(layer: Layer, like: Layer, at: Any = ...) -> Image:
+    """Return all that is known of a layer's pixels, or of those at an index, and may be averaged: (H, W, n), float32.
 
     Colour and alpha, nearness ``-1 / depth`` and motions (dx, dy): one of each, or three if those one frame before and
     after are known of another layer ``like`` this.
     """
     depths = [layer.depth if each is None else each for each in (layer.depth_prev, layer.depth_next)]
     motions = [layer.motion if each is None else each for each in (layer.motion_prev, layer.motion_next)]
-    nearness = [-1.0 / each[..., None] for each in (layer.depth, *depths)[: len(like.depths)]]
-    return np.concatenate(
-        [layer.radiance, *nearness, *(layer.motion, *motions)[: len(like.motions)]], axis=2, dtype=np.float32
-    )
+    nearness = [-1.0 / each[at][..., None] for each in (layer.depth, *depths)[: len(like.depths)]]
+    planes = layer.radiance[at], *nearness, *(each[at] for each in (layer.motion, *motions)[: len(like.motions)])
+    return np.concatenate(planes, axis=-1, dtype=np.float32)
 
 
 def with_features(layer: Layer, features: Image) -> Layer:

@@ -249,7 +249,7 @@ def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: 
     chosen = np.flatnonzero(share)
     number, part, shown = chosen, share.ravel()[chosen], features.reshape(-1, features.shape[2])[chosen]
     if len(strands.at):
-        on_sides = take_features(frame, first).reshape(-1, features.shape[2])[strands.sides].mean(axis=1)
+        on_sides = take_features(frame, first, np.unravel_index(strands.sides, frame.shape)).mean(axis=1)
         number, part = np.concatenate([number, strands.at]), np.concatenate([part, strands.share])
         order = np.argsort(number, kind="stable")
         number, part, shown = number[order], part[order], np.concatenate([shown, on_sides])[order]
