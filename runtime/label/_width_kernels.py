@@ -132,7 +132,10 @@ def average_strands(begin, end, place, thin, strand, gap, measured, mean):
 
 @helper
 def _give(radiance, shares, colours, own, share, light):
-    """Give one surface of a pixel a share and its light, as far as the pixel has it, and the others what is left."""
+    """Give one surface of a pixel a share and its light, as far as the pixel has it, and the others what is left.
+
+    Surfaces without a share have no colours.
+    """
     before = shares[own]
     if before >= 1.0:
         return
@@ -140,12 +143,12 @@ def _give(radiance, shares, colours, own, share, light):
     for c in range(4):
         given, others = min(light[1 + c], radiance[c]), 0.0
         for s in range(len(shares)):
-            others += shares[s] * colours[s, c] if s != own else 0.0
+            others += shares[s] * colours[s, c] if s != own and shares[s] > 0.0 else 0.0
         colours[own, c] = given / share if share > 0.0 else 0.0
         # By the light that each of the others has; where none has any, alike.
         brighter = (radiance[c] - given) / (others * scale) if others > 0.0 else 0.0
         for s in range(len(shares)):
-            if s != own:
+            if s != own and shares[s] > 0.0:
                 colours[s, c] = colours[s, c] * brighter if others > 0.0 else (radiance[c] - given) / (1.0 - share)
     for s in range(len(shares)):
         shares[s] = share if s == own else shares[s] * scale

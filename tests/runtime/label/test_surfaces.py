@@ -259,3 +259,25 @@ def test_a_strand_is_as_wide_and_as_bright_all_along(degrees):
     light, covered, wanted = of_strand(0.6, degrees)
     assert covered.std() < 0.1 * wanted.mean() and light.std() < 0.15 * RED[0] * wanted.mean()
     assert abs(light.mean() - RED[0] * wanted.mean()) < 0.1 * RED[0] * wanted.mean()
+
+
+@pytest.mark.interpreted
+def test_what_a_pixel_does_not_have_is_not_looked_at():
+    """Surfaces without a share have neither place nor colour: what lies in memory there changes nothing."""
+    place = np.full((16, 9), 6.0, np.float32)
+    place[:, 4] = 2.0
+    radiance = np.full((16, 9, 4), 0.5, np.float32)
+    rows, cols = (each.ravel() for each in np.indices(place.shape))
+    given = []
+    for unknown in (0.0, np.nan):
+        shares = np.tile(np.float32([0.7, 0.3, 0.0]), (place.size, 1))
+        sources = np.stack([np.tile(rows, (3, 1)), [cols, np.where(cols == 4, 3, 4), cols]], axis=-1)
+        colours = np.full((place.size, 3, 4), unknown, np.float32)
+        colours[:, :2] = np.random.default_rng(0).random((place.size, 2, 4))
+        first = shares[:, 0].reshape(place.shape).copy(), radiance.copy()
+        found = np.stack([rows, cols], axis=1), shares, sources.transpose(1, 0, 2).copy(), colours
+        surfaces.even_strands(place, radiance, first, found)
+        given.append(first)
+    for one, other in zip(*given, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.ptp(given[0][0][:, 4]) < 0.2 and not np.array_equal(given[0][1], radiance)
