@@ -155,6 +155,14 @@ def sample_doubts(samples: SampleBuffer, camera: ThinLens) -> list[str]:
     list of str
     """
     found = camera_doubts(camera.fitted(samples.raster.display.shape, samples.raster.pixel_aspect))
+    # What the samples alone can tell is not taken from the camera.
+    if camera.moves_picture:
+        found.append(
+            "keys of the camera's pose or focal length are not used: how samples move is told by their motion alone, "
+            "which has to hold the camera's"
+        )
+    if camera.readout_frames:
+        found.append("readout_frames is not used: each sample has a time of its own")
     lens, time = valid_values(samples.lens_uv, samples.valid), valid_values(samples.time, samples.valid)
     if not len(lens):
         return found

@@ -1,6 +1,7 @@
 """Values that are allowed one by one are doubted where they do not fit each other; what fits is not."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +110,23 @@ def test_samples_that_do_not_fit_lens_and_shutter_are_doubted(changes, message):
     assert message in doubt
     with pytest.warns(sp.errors.AmbiguousInputWarning, match="lens|shutter"):
         sp.reconstruct(samples(**changes), lens(), method="mean")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"keys": (sp.LensKey(0, focal_length_mm=40), sp.LensKey(1, focal_length_mm=60))}, "focal length are not used"),
+        ({"readout_frames": 0.3}, "readout_frames is not used"),
+    ],
+)
+def test_what_of_a_moving_camera_samples_do_not_use_is_said(changes, message):
+    (doubt,) = sample_doubts(samples(), replace(lens(), **changes))
+    assert message in doubt
+
+
+def test_a_focus_pull_over_samples_is_not_doubted():
+    pull = replace(lens(), keys=(sp.LensKey(0, focus_distance_m=2), sp.LensKey(1, focus_distance_m=4)))
+    assert sample_doubts(samples(), pull) == []
 
 
 def test_samples_over_the_lens_or_at_its_centre_are_not_doubted():
