@@ -141,7 +141,7 @@ def _give(radiance, shares, colours, own, share, light):
         return
     scale = (1.0 - share) / (1.0 - before)
     for c in range(4):
-        given, others = min(light[1 + c], radiance[c]), 0.0
+        given, others = min(light[c], radiance[c]), 0.0
         for s in range(len(shares)):
             others += shares[s] * colours[s, c] if s != own and shares[s] > 0.0 else 0.0
         colours[own, c] = given / share if share > 0.0 else 0.0
@@ -156,7 +156,7 @@ def _give(radiance, shares, colours, own, share, light):
 
 @kernel
 def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages, first, found):
-    """Give strands the coverage and the light that they have on average. All rows are done in one call.
+    """Give strands as much coverage and light across them as they have on average. All rows are done in one call.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages
     height, width = place.shape
     _, shares, _, colours = found
     measured, mean = averages
-    light = np.empty(5)
+    light = np.empty(4)
     for row in range(begin, end):
         for col in range(width):
             of_strand = strand[row, col]
@@ -186,13 +186,16 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages
                 s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
                 if s < 0:
                     continue
-                # Across the strand, its coverage stays spread as it was; where none was seen, its own pixel gets all.
+                # Across the strand, coverage and light stay spread as they were; what was not seen is its own pixel's.
                 part = 1.0 if step == 0 else 0.0
                 if measured[of_strand, 0] > 0.0:
                     part = shares[number, s] / measured[of_strand, 0]
                 share = min(part * mean[of_strand, 0], MOST_COVERED)
-                for c in range(5):
-                    light[c] = mean[of_strand, c] * share / mean[of_strand, 0]
+                for c in range(4):
+                    light[c] = mean[of_strand, 1 + c] * share / mean[of_strand, 0]
+                    if measured[of_strand, 1 + c] > 0.0:
+                        own = shares[number, s] * colours[number, s, c]
+                        light[c] = own * mean[of_strand, 1 + c] / measured[of_strand, 1 + c]
                 _give(radiance[i, j], shares[number], colours[number], s, share, light)
                 first[0][i, j] = shares[number, 0]
                 for c in range(4):
