@@ -34,6 +34,16 @@ def _surface_at(found, number, place, here, most):
     return -1
 
 
+@helper
+def _seen_across(place, thin, mixed, found, row, col, step, most):
+    """Return the pixel some steps across a strand, and which of its surfaces is the strand; -1 if none is."""
+    height, width = place.shape
+    i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
+    if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
+        return i, j, -1
+    return i, j, _surface_at(found, mixed[i, j], place, place[row, col], most)
+
+
 @kernel
 def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured):
     """Sum what strands cover, and their light, across them.
@@ -53,10 +63,9 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
     measured : ndarray of shape (n, 5), float32
         Filled for each pixel of a strand: coverage, px, and light.
     """
-    height, width = place.shape
     _, shares, _, colours = found
     for row in range(begin, end):
-        for col in range(width):
+        for col in range(place.shape[1]):
             if strand[row, col] < 0:
                 continue
             sums = measured[strand[row, col]]
@@ -64,12 +73,9 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
                 sums[c] = 0.0
             # Look at the pixels across it that show its surface.
             for step in range(-BESIDE, BESIDE + 1):
-                i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
-                if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
-                    continue
-                number = mixed[i, j]
-                s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
+                i, j, s = _seen_across(place, thin, mixed, found, row, col, step, ALIKE * gap)
                 if s >= 0:
+                    number = mixed[i, j]
                     sums[0] += shares[number, s]
                     for c in range(4):
                         sums[1 + c] += shares[number, s] * colours[number, s, c]
@@ -169,23 +175,19 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages
     first, found : tuple
         See `divide_pixels`; changed.
     """
-    height, width = place.shape
     _, shares, _, colours = found
     measured, mean = averages
     light = np.empty(4)
     for row in range(begin, end):
-        for col in range(width):
+        for col in range(place.shape[1]):
             of_strand = strand[row, col]
             if of_strand < 0 or mean[of_strand, 0] <= 0.0:
                 continue
             for step in range(-BESIDE, BESIDE + 1):
-                i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
-                if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
-                    continue
-                number = mixed[i, j]
-                s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
+                i, j, s = _seen_across(place, thin, mixed, found, row, col, step, ALIKE * gap)
                 if s < 0:
                     continue
+                number = mixed[i, j]
                 # Across the strand, coverage and light stay spread as they were; what was not seen is its own pixel's.
                 part = 1.0 if step == 0 else 0.0
                 if measured[of_strand, 0] > 0.0:
