@@ -19,6 +19,10 @@ TRIALS = 48
 ROUNDS = 4
 BLOCKS_ACROSS = 1 << 12
 """More than there are in a row: what blocks try first differs."""
+LEAST_GAP = 1.5
+"""Width of gaps, in the blur of what lies around, from which its texture shows in them; narrower ones that fills."""
+FAR_BLUR = 2.0
+"""How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
 MOSTLY_SEEN = 0.9
 """Share of a pixel from which it tells what lies there."""
 NEGLIGIBLE = 0.004
@@ -69,8 +73,8 @@ def sum_layers(begin, end, surface, at, corner, cover, sums, reach):
         Row and column of the frame's first pixel, counted from the picture's centre, which tiles are aligned with.
     cover : ndarray of shape (H, W), float32
         Filled with the share of its pixel that the surface covers.
-    sums : ndarray of shape (h, n_layers, 3), float64
-        Of each row of tiles, and each layer: the cover, the cover times the blur, px, and the largest blur; changed.
+    sums : ndarray of shape (h, w, n_layers, 2), float32
+        Of each layer in each tile: the cover, and the cover times the blur, px; changed.
     reach : ndarray of shape (h, w, n_layers), float32
         The largest blur of each layer in each tile; raised.
     """
@@ -91,11 +95,10 @@ def sum_layers(begin, end, surface, at, corner, cover, sums, reach):
                 for number in range(layer[row, col], layer[row, col] + 2):
                     each = own * _part(layer[row, col], farther[row, col], number)
                     if each > 0.0:
-                        total, far = sums[tile, number], reach[(y + down) // BLOCK, (x + left) // BLOCK]
-                        total[0] += each
-                        total[1] += np.float64(each) * blur
-                        total[2] = max(total[2], np.float64(blur))
-                        far[number] = max(far[number], blur)
+                        i, j = (y + down) // BLOCK, (x + left) // BLOCK
+                        sums[i, j, number, 0] += each
+                        sums[i, j, number, 1] += each * blur
+                        reach[i, j, number] = max(reach[i, j, number], blur)
 
 
 @helper
@@ -317,14 +320,14 @@ def find_gaps(begin, end, hides, across, away, blur, level, corner, gap):
         See `row_distances`.
     away : ndarray of shape (h / BLOCK, w / BLOCK), float64
         From each block to the next one of which something was seen, blocks.
-    blur : tuple of ndarray of shape (H / BLOCK, W / BLOCK), float32, and two floats
-        How far, px, the blur of what hides each tile of pixels may reveal what lies behind; how far the layer's own
-        blur spreads what lies hidden; and the distance, px, up to which gaps are to be exact.
+    blur : tuple of two ndarrays of shape (H / BLOCK, W / BLOCK), float32, and a float
+        How far, px, the blur of what hides each tile of pixels may reveal what lies behind; the layer's own mean blur
+        around it, px; and the layer's largest one.
     level : int
     corner : tuple of two ints
         As for `enter_layer`.
     """
-    reach, own, exact = blur
+    reach, own, farthest = blur
     cell = 1 << level
     above, before = (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
     down, left = corner[0] % BLOCK - corner[0] % cell, corner[1] % BLOCK - corner[1] % cell
@@ -335,9 +338,10 @@ def find_gaps(begin, end, hides, across, away, blur, level, corner, gap):
             if hides[row, col] < NEGLIGIBLE:
                 continue
             # Find how far the blurs reach, and whether by blocks that is too far.
-            extent = np.float64(reach[(row * cell + down) // BLOCK, (col * cell + left) // BLOCK])
-            limit = (extent + own + 1.0) / cell
-            most = min(max(EXACT, exact / cell), limit)
+            tile_row, tile_col = (row * cell + down) // BLOCK, (col * cell + left) // BLOCK
+            mean = np.float64(own[tile_row, tile_col])
+            limit = (np.float64(reach[tile_row, tile_col]) + min(FAR_BLUR * mean, farthest) + 1.0) / cell
+            most = min(max(EXACT, LEAST_GAP * mean / cell), limit)
             rough = BLOCK * away[(row + above) // BLOCK, (col + before) // BLOCK]
             if rough - 1.5 * BLOCK < most:
                 exactly = _nearest(across, row, col, most)
@@ -349,31 +353,34 @@ def find_gaps(begin, end, hides, across, away, blur, level, corner, gap):
 
 
 @kernel
-def choose_blocks(begin, end, hides, covers, gap, least, corner, unlike):
+def choose_blocks(begin, end, hides, covers, gap, own, level, corner, unlike):
     """Fill ``unlike`` (h, w), float64, with -1 for blocks that are left as they are, else infinity.
 
-    Those are looked up that have a gap wider than ``least``, cells, in a layer that covers, or nearly so, what was
-    seen. For ``hides`` and ``covers`` see `enter_layer`, for ``corner`` `row_distances`.
+    Those are looked up that have a gap wider than `LEAST_GAP` times the blur around, in a layer that covers, or nearly
+    so, what was seen. For ``hides`` and ``covers`` see `enter_layer`, for ``gap``, ``own`` and ``corner`` `find_gaps`.
     """
     height, width = hides.shape
+    cell, above, before = 1 << level, (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
+    down, aside = corner[0] % BLOCK - corner[0] % cell, corner[1] % BLOCK - corner[1] % cell
     for number in range(begin, end):
         for across in range(unlike.shape[1]):
-            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            top, left = number * BLOCK - above, across * BLOCK - before
             unlike[number, across] = -1.0
             # Is there a wide gap?
             wide = False
             for i in range(max(top, 0), min(top + BLOCK, height)):
                 for j in range(max(left, 0), min(left + BLOCK, width)):
-                    wide = wide or gap[i, j] > least
+                    mean = own[(i * cell + down) // BLOCK, (j * cell + aside) // BLOCK]
+                    wide = wide or gap[i, j] > max(LEAST_GAP * mean / cell, 0.0)
             if not wide:
                 continue
             # Is most of what was seen around of the layer?
-            own, seen = 0.0, 0.0
+            covered, seen = 0.0, 0.0
             for i in range(max(top - BLOCK, 0), min(top + 2 * BLOCK, height)):
                 for j in range(max(left - BLOCK, 0), min(left + 2 * BLOCK, width)):
-                    own += covers[i, j]
+                    covered += covers[i, j]
                     seen += 1.0 - hides[i, j]
-            if own >= LEAST_COVER * seen:
+            if covered >= LEAST_COVER * seen:
                 unlike[number, across] = math.inf
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
 from spreadlets.parallel import for_bands
@@ -26,12 +27,10 @@ from spreadlets.runtime.plan.layering import Layering
 from spreadlets.runtime.plan.strands import Strands, find_strands
 from spreadlets.scene.frame import Layer
 
-LEAST_GAP = 1.5
-"""Width of gaps, in a layer's own blur, from which its texture shows in them; narrower ones its blur fills."""
-FAR_BLUR = 2.0
-"""How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
-
-
+TILES_AROUND = 4
+"""So many tiles around, the blur of what was seen of a layer tells that of what lies hidden of it."""
+TINY = 1e-6
+"""Share of a pixel that counts as nothing."""
 FINENESS = 4.0
 """What lies hidden is looked up in cells of this share of the blur that reveals it: it shows nothing finer."""
 BLOCKS_AROUND = -(-(_behind_kernels.FARTHEST + _behind_kernels.AROUND) // _behind_kernels.BLOCK) + 2
@@ -113,16 +112,16 @@ def find_behind(
     for bits in known:
         bits.ravel()[strands.at] |= theirs
     for number in range(1, layering.n_layers):
-        own, farthest = sums[number, 1] / max(sums[number, 0], 1e-9), sums[number, 2]
-        level = min(max(int(np.log2(max(own, 1.0) / FINENESS)), 0), COARSEST)
+        own = _blur_around(sums[..., number, :])
+        level = min(max(int(np.log2(max(float(own.min()), 1.0) / FINENESS)), 0), COARSEST)
         cells = _enter(seen, number, level, nearer)
-        if not sums[number, 0]:
+        if not sums[..., number, 0].any():
             continue
         if elsewhere is not None:
             there = _pass_of(elsewhere, layering)
             given = nearer, there.layer, there.weight, take_features(elsewhere[0], first)
             for_bands(_behind_kernels.take_elsewhere, shape[0], *given, number, hidden[0], known[0])
-        blur = reaches[..., :number].max(axis=2), min(float(farthest), FAR_BLUR * float(own)), LEAST_GAP * float(own)
+        blur = reaches[..., :number].max(axis=2), own, float(reaches[..., number].max())
         chosen = _choose(*cells, blur, level, seen.corner)
         if chosen is None:
             continue
@@ -142,25 +141,32 @@ def find_behind(
     ]
 
 
-def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, DoubleArray, Image]:
-    """Return what was seen; and of each layer sums, (n_layers, 3), and the reach in each tile, see the kernel."""
+def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, Image, Image]:
+    """Return what was seen; and of each layer sums and the reach in each tile, see the kernel."""
     labels = [pixels.labels for _, pixels in surfaces]
     passes, corner = [_pass_of(each, layering) for each in surfaces], labels[-1].view.corner
     at = [EVERYWHERE if each.view.places is None else each.view.places.at for each in labels]
     cover = [np.empty_like(each.coc) for each in labels]
     tiles = tiling(surfaces[-1][0].shape, _behind_kernels.BLOCK, corner)
-    sums = np.zeros((len(labels), layering.n_layers, 3))
+    sums = np.zeros((*tiles, layering.n_layers, 2), np.float32)
     reach = np.zeros((*tiles, layering.n_layers), np.float32)
-    for number, each in enumerate(zip(passes, at, strict=True)):
-        part = np.zeros((-(-len(cover[number]) // _behind_kernels.BLOCK) + 1, *sums.shape[1:]))
-        given = *each, corner, cover[number], part, reach
-        if len(at[number]):
-            _behind_kernels.sum_layers(0, len(part), *given)
+    for given in zip(passes, at, cover, strict=True):
+        surface, places, covered = given
+        if len(places):
+            n_tiles = -(-len(covered) // _behind_kernels.BLOCK)
+            _behind_kernels.sum_layers(0, n_tiles, surface, places, corner, covered, sums, reach)
         else:
-            for_bands(_behind_kernels.sum_layers, tiles[0], *given)
-        sums[number, :, :2], sums[number, :, 2] = part[..., :2].sum(axis=0), part[..., 2].max(axis=0)
-    total = np.concatenate([sums[..., :2].sum(axis=0), sums[..., 2:].max(axis=0)], axis=1)
-    return _Seen(passes, at, cover, corner), total, reach
+            for_bands(_behind_kernels.sum_layers, tiles[0], surface, places, corner, covered, sums, reach)
+    return _Seen(passes, at, cover, corner), sums, reach
+
+
+def _blur_around(sums: Image) -> Image:
+    """Return how far, px, what was seen of a layer around each tile blurs in the mean; far from it, its own mean."""
+    total = sums.sum(axis=(0, 1), dtype=np.float64)
+    mean = total[1] / max(total[0], TINY)
+    size = 2 * TILES_AROUND + 1
+    cover, blur = (ndimage.uniform_filter(sums[..., k].astype(np.float64), size, mode="constant") for k in range(2))
+    return np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
 
 
 def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
@@ -184,7 +190,7 @@ def _enter(seen: _Seen, number: int, level: int, nearer: Image) -> tuple[Image, 
 
 
 def _choose(
-    hides: Image, covers: Image, blur: tuple[Image, float, float], level: int, corner: tuple[int, int]
+    hides: Image, covers: Image, blur: tuple[Image, Image, float], level: int, corner: tuple[int, int]
 ) -> tuple[Image, DoubleArray] | None:
     """Return the widths of a layer's gaps, and which blocks are to be looked up, see the kernels; None if none are."""
     across, gap = np.empty(hides.shape, np.int32), np.empty_like(hides)
@@ -199,8 +205,8 @@ def _choose(
     for_bands(_behind_kernels.row_distances, blocks[0], (~is_seen).astype(np.float32), (0, 0), apart, is_seen.copy())
     for_bands(_behind_kernels.nearest, blocks[0], apart, away)
     for_bands(_behind_kernels.find_gaps, len(hides), hides, across, away, blur, level, corner, gap)
-    unlike, least = np.empty(blocks), blur[2] / (1 << level)
-    for_bands(_behind_kernels.choose_blocks, len(unlike), hides, covers, gap, least, inner, unlike)
+    unlike = np.empty(blocks)
+    for_bands(_behind_kernels.choose_blocks, len(unlike), hides, covers, gap, blur[1], level, corner, unlike)
     return (gap, unlike) if (unlike >= 0.0).any() else None
 
 
