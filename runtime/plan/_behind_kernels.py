@@ -31,7 +31,8 @@ LEAST_LIGHT = 0.05
 """Added to what differences of colours are relative to."""
 LEAST_COVER = 0.25
 """Share of what was seen around a block that is of the layer: what is less is small, and stands amid others."""
-FAR_PRICE = 0.02 / FARTHEST**2
+MOST_PRICE = 0.02
+FAR_PRICE = MOST_PRICE / FARTHEST**2
 """What a squared distance, cells, counts beside squared relative differences."""
 HIDDEN_PRICE = 1.0
 """The same of a place where nothing was seen of what is looked for."""
@@ -97,7 +98,7 @@ def sum_layers(begin, end, surface, at, corner, cover, sums, reach):
                     if each > 0.0:
                         i, j = (y + down) // BLOCK, (x + left) // BLOCK
                         sums[i, j, number, 0] += each
-                        sums[i, j, number, 1] += each * blur
+                        sums[i, j, number, 1] += each * abs(coc[row, col])
                         reach[i, j, number] = max(reach[i, j, number], blur)
 
 
@@ -388,7 +389,7 @@ def choose_blocks(begin, end, hides, covers, gap, own, level, corner, unlike):
 def _unlikeness(hides, features, top, left, down, right, most):
     """Return how unlike, mean squared, what was seen around a block is to what was seen (down, right) of it."""
     height, width = hides.shape
-    price = FAR_PRICE * (down * down + right * right)
+    price = min(FAR_PRICE * (down * down + right * right), MOST_PRICE)
     if price >= most:
         return math.inf
     # Enough of the block's own pixels must have been seen there.
@@ -456,6 +457,19 @@ def _try_around(hides, features, top, left, part, best, place):
 
 
 @kernel
+def refine_places(begin, end, hides, features, corner, places, unlike):
+    """Refine."""
+    for number in range(begin, end):
+        for across in range(unlike.shape[1]):
+            if unlike[number, across] != math.inf or (places[number, across, 0] == 0 and places[number, across, 1] == 0):
+                continue
+            place = places[number, across]
+            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            best = _unlikeness(hides, features, top, left, place[0], place[1], math.inf)
+            unlike[number, across] = _refine(hides, features, top, left, 1, best, place)
+
+
+@kernel
 def look_up(begin, end, hides, features, corner, given, places, unlike):
     """Find for each block where what was seen around it is most alike: among some places, then those of its neighbours.
 
@@ -482,6 +496,8 @@ def look_up(begin, end, hides, features, corner, given, places, unlike):
                 top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
                 if start == math.inf:
                     part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
+                    if place[0] or place[1]:
+                        best = _unlikeness(hides, features, top, left, place[0], place[1], best)
                     best, size = _try_around(hides, features, top, left, part, best, place), 4
                 # Try the neighbours' places.
                 for i in range(max(number - 1, 0), min(number + 2, rows)):

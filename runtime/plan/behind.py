@@ -127,7 +127,7 @@ def find_behind(
             continue
         gap, unlike = chosen
         corner = _corner(seen.corner, level)
-        wanted = largest_around(unlike >= 0.0, BLOCKS_AROUND)
+        wanted = largest_around(unlike >= 0.0, 60)
         places = None
         for index, frame in enumerate(frames):
             # The same places, in the frame's own colours.
@@ -166,6 +166,8 @@ def _blur_around(sums: Image) -> Image:
     mean = total[1] / max(total[0], TINY)
     size = 2 * TILES_AROUND + 1
     cover, blur = (ndimage.uniform_filter(sums[..., k].astype(np.float64), size, mode="constant") for k in range(2))
+    import os
+    if os.environ.get('OLD'): return np.full(sums.shape[:2], mean, np.float32)
     return np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
 
 
@@ -235,7 +237,7 @@ def _features(
 
 
 def _places(
-    hides: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray
+    hides: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray, depth: int = 0
 ) -> tuple[IntArray, DoubleArray]:
     """Return for each block where what was seen around it is most alike, and how unlike.
 
@@ -243,10 +245,44 @@ def _places(
     -----
     PatchMatch (Barnes et al. 2009), for blocks and with trials that are the same each time.
     """
-    found = np.zeros((*unlike.shape, 2), np.int64), unlike
+    corner0 = corner
+    coarse = None
+    import os
+    if depth < int(os.environ.get('DEEP', '2')) and min(hides.shape) > 64:
+        oy, ox = corner[0] % 2, corner[1] % 2
+        H, W = -(-(hides.shape[0] + oy) // 2), -(-(hides.shape[1] + ox) // 2)
+        def half(a):
+            b = np.zeros((2 * H, 2 * W, *a.shape[2:]), np.float32)
+            b[oy : oy + a.shape[0], ox : ox + a.shape[1]] = a
+            n = np.zeros((2 * H, 2 * W), np.float32); n[oy : oy + a.shape[0], ox : ox + a.shape[1]] = 1
+            f = lambda x: x.reshape(H, 2, W, 2, *x.shape[2:]).sum(axis=(1, 3))
+            r = f(b); m = f(n)
+            return (r / m.reshape(*m.shape, *([1] * (a.ndim - 2)))).astype(np.float32)
+        c2 = (corner[0] >> 1, corner[1] >> 1)
+        nb = tiling((H, W), _behind_kernels.BLOCK, c2)
+        u2 = np.full(nb, -1.0)
+        by, bx = np.nonzero(unlike >= 0)
+        # absolute block index
+        ay, ax = (by + corner[0] // 8) >> 1, (bx + corner[1] // 8) >> 1
+        iy, ix = ay - c2[0] // 8, ax - c2[1] // 8
+        u2[iy, ix] = np.inf
+        p2, v2 = _places(half(hides), half(features), c2, u2, depth + 1)
+        coarse = np.zeros((*unlike.shape, 2), np.int64); cu = np.full(unlike.shape, np.inf)
+        coarse[by, bx] = np.where(np.isfinite(v2[iy, ix])[:, None], 2 * p2[iy, ix], 0)
+        cu[by, bx] = v2[iy, ix]
+    if coarse is not None and depth < int(os.environ.get('FIX', '1')):
+        found = coarse.copy(), unlike.copy()
+        for_bands(_behind_kernels.refine_places, len(unlike), hides, features, corner, *found)
+        none = np.isinf(found[1]) & np.isfinite(cu)
+        found[0][none], found[1][none] = coarse[none], cu[none]
+        return found
+    found = np.zeros((*unlike.shape, 2), np.int64) if coarse is None else coarse, unlike
     for _ in range(_behind_kernels.ROUNDS):
         before, found = found, (np.empty_like(found[0]), np.empty_like(unlike))
         for_bands(_behind_kernels.look_up, len(unlike), hides, features, corner, before, *found)
+    if coarse is not None:
+        none = np.isinf(found[1]) & np.isfinite(cu)
+        found[0][none], found[1][none] = coarse[none], cu[none]
     return found
 
 
