@@ -5,50 +5,27 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, BLUR, COLOUR, LIKE, MOSTLY_SEEN
 
-BLOCK = 8
-"""Side, cells, of the blocks that are looked up together; and, px, of the tiles whose blur is known."""
-AROUND = 12
-"""So far around a block, cells, it is compared with other places."""
-FARTHEST = 96
-"""Farthest that another place may lie along each axis, cells."""
+TILE = BLOCK
+"""Side, px, of the tiles whose blur is known."""
 EXACT = 16.0
 """Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
-TRIALS = 48
-"""Places that each block tries by itself; then it tries those of its neighbours, and what lies beside the best."""
-ROUNDS = 4
-BLOCKS_ACROSS = 1 << 12
-"""More than there are in a row: what blocks try first differs."""
-LEAST_GAP = 1.5
+LEAST_GAP = 1.0
 """Width of gaps, in the blur of what lies around, from which its texture shows in them; narrower ones that fills."""
 FAR_BLUR = 2.0
 """How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
-MOSTLY_SEEN = 0.9
-"""Share of a pixel from which it tells what lies there."""
 NEGLIGIBLE = 0.004
 """Share of a pixel, and of what lies hidden in it, that no display shows."""
-LEAST_LIGHT = 0.05
-"""Added to what differences of colours are relative to."""
 LEAST_COVER = 0.25
 """Share of what was seen around a block that is of the layer: what is less is small, and stands amid others."""
-MOST_PRICE = 0.02
-FAR_PRICE = MOST_PRICE / FARTHEST**2
-"""What a squared distance, cells, counts beside squared relative differences."""
-HIDDEN_PRICE = 1.0
-"""The same of a place where nothing was seen of what is looked for."""
-SPARSE, SHEAR = 9, 4
-"""Every ninth pixel is compared: of each row others, so that neither rows nor columns are left out."""
-TOO_FEW = 8
-"""Pixels that must be comparable."""
-LIKE = 0.05
-"""Mean squared relative difference, summed over features, up to which two places show the same texture."""
 LEAST_UNLIKE = 0.001
 """Added to what weights are in inverse proportion to."""
 BRIGHTEST = 4.0
 """How many times as bright as the mean around it what is copied may be: a lamp that is not there would catch the eye,
 and in a sequence it would flash."""
-COLOUR, ALPHA, BLUR = 4, 3, -1
-"""Colour comes first among the features, with alpha; how far a pixel blurs, px, comes last."""
+EVEN = 0.25
+"""Power of light that is averaged: a lamp hardly adds to what is usual around it."""
 
 
 @helper
@@ -227,8 +204,9 @@ def sum_light(begin, end, features, corner, light):
         for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
             for j in range(features.shape[1]):
                 total, each = light[block, (j + before) // BLOCK], features[i, j]
-                total[0] += max(each[0], each[1], each[2])
-                total[1] += each[ALPHA]
+                if each[ALPHA] > 0.0:
+                    total[0] += each[ALPHA] * (max(each[0], each[1], each[2], 0.0) / each[ALPHA]) ** EVEN
+                    total[1] += each[ALPHA]
 
 
 @kernel
@@ -251,7 +229,7 @@ def dim_highlights(begin, end, light, corner, features):
                 for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
                     total += light[k, m, 0]
                     cover += light[k, m, 1]
-            limit = BRIGHTEST * total / max(cover, NEGLIGIBLE)
+            limit = BRIGHTEST * (total / max(cover, NEGLIGIBLE)) ** (1.0 / EVEN)
             for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
                 for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
                     each = features[i, j]
@@ -354,8 +332,8 @@ def find_gaps(begin, end, hides, across, away, blur, level, corner, gap):
 
 
 @kernel
-def choose_blocks(begin, end, hides, covers, gap, own, level, corner, unlike):
-    """Fill ``unlike`` (h, w), float64, with -1 for blocks that are left as they are, else infinity.
+def choose_blocks(begin, end, hides, covers, gap, own, level, corner, chosen):
+    """Fill ``chosen`` (h / BLOCK, w / BLOCK), bool, with which blocks are to be looked up.
 
     Those are looked up that have a gap wider than `LEAST_GAP` times the blur around, in a layer that covers, or nearly
     so, what was seen. For ``hides`` and ``covers`` see `enter_layer`, for ``gap``, ``own`` and ``corner`` `find_gaps`.
@@ -364,9 +342,9 @@ def choose_blocks(begin, end, hides, covers, gap, own, level, corner, unlike):
     cell, above, before = 1 << level, (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
     down, aside = corner[0] % BLOCK - corner[0] % cell, corner[1] % BLOCK - corner[1] % cell
     for number in range(begin, end):
-        for across in range(unlike.shape[1]):
+        for across in range(chosen.shape[1]):
             top, left = number * BLOCK - above, across * BLOCK - before
-            unlike[number, across] = -1.0
+            chosen[number, across] = False
             # Is there a wide gap?
             wide = False
             for i in range(max(top, 0), min(top + BLOCK, height)):
@@ -381,139 +359,7 @@ def choose_blocks(begin, end, hides, covers, gap, own, level, corner, unlike):
                 for j in range(max(left - BLOCK, 0), min(left + 2 * BLOCK, width)):
                     covered += covers[i, j]
                     seen += 1.0 - hides[i, j]
-            if covered >= LEAST_COVER * seen:
-                unlike[number, across] = math.inf
-
-
-@helper
-def _unlikeness(hides, features, top, left, down, right, most):
-    """Return how unlike, mean squared, what was seen around a block is to what was seen (down, right) of it."""
-    height, width = hides.shape
-    price = min(FAR_PRICE * (down * down + right * right), MOST_PRICE)
-    if price >= most:
-        return math.inf
-    # Enough of the block's own pixels must have been seen there.
-    unseen = 0
-    for i in range(top + 1 + down, top + BLOCK + down, 2):
-        for j in range(left + 1 + right, left + BLOCK + right, 2):
-            if not (0 <= i < height and 0 <= j < width) or 1.0 - hides[i, j] < MOSTLY_SEEN:
-                unseen += 1
-    price += HIDDEN_PRICE * unseen / (BLOCK // 2) ** 2
-    if price >= most:
-        return math.inf
-    total, weights = 0.0, 0.0
-    side = BLOCK + 2 * AROUND
-    bound = (most - price) * side * (side // SPARSE + 1)
-    for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
-        if not 0 <= i + down < height:
-            continue
-        if total > bound:
-            return math.inf
-        for j in range(left - AROUND + SHEAR * (i - top) % SPARSE, min(left + BLOCK + AROUND, width), SPARSE):
-            if j < 0 or not 0 <= j + right < width:
-                continue
-            first, second = 1.0 - hides[i, j], 1.0 - hides[i + down, j + right]
-            if first < MOSTLY_SEEN or second < MOSTLY_SEEN:
-                continue
-            weights += 1.0
-            one, other = features[i, j], features[i + down, j + right]
-            for c in range(COLOUR):
-                total += ((one[c] - other[c]) / (abs(one[c]) + abs(other[c]) + LEAST_LIGHT)) ** 2
-            total += ((one[BLUR] - other[BLUR]) / (1.0 + one[BLUR] + other[BLUR])) ** 2
-    if weights < TOO_FEW:
-        return math.inf
-    return total / weights + price
-
-
-@helper
-def _refine(hides, features, top, left, size, best, place):
-    """Move ``place`` by steps of some sizes, halved each time, while its surroundings get more alike."""
-    while size:
-        middle_row, middle_col = place[0], place[1]
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                down, right = middle_row + i * size, middle_col + j * size
-                each = _unlikeness(hides, features, top, left, down, right, best)
-                if each < best:
-                    best, place[0], place[1] = each, down, right
-        size //= 2
-    return best
-
-
-@helper
-def _try_around(hides, features, top, left, part, best, place):
-    """Let a block try places of its own, and keep the best."""
-    for n in range(TRIALS):
-        # A sequence that fills the square evenly (Roberts 2018), another part of it for each block.
-        index = n + TRIALS * part
-        x, y = 0.7548776662466927 * index % 1.0, 0.5698402909980532 * index % 1.0
-        # Denser in the middle.
-        x, y = 2.0 * x - 1.0, 2.0 * y - 1.0
-        down, right = int(FARTHEST * y * abs(y)), int(FARTHEST * x * abs(x))
-        each = _unlikeness(hides, features, top, left, down, right, best)
-        if each < best:
-            best, place[0], place[1] = each, down, right
-    return best
-
-
-@kernel
-def refine_places(begin, end, hides, features, corner, places, unlike):
-    """Refine."""
-    for number in range(begin, end):
-        for across in range(unlike.shape[1]):
-            if unlike[number, across] != math.inf or (places[number, across, 0] == 0 and places[number, across, 1] == 0):
-                continue
-            place = places[number, across]
-            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
-            best = _unlikeness(hides, features, top, left, place[0], place[1], math.inf)
-            unlike[number, across] = _refine(hides, features, top, left, 1, best, place)
-
-
-@kernel
-def look_up(begin, end, hides, features, corner, given, places, unlike):
-    """Find for each block where what was seen around it is most alike: among some places, then those of its neighbours.
-
-    Parameters
-    ----------
-    hides, features
-        See `enter_layer` and `add_features`.
-    corner : tuple of two ints
-        As for `row_distances`.
-    given : tuple of ndarrays of shapes (h, w, 2), int64, and (h, w), float64
-        What each block has found: rows and columns from it to the place, and how unlike that is, infinite where it has
-        looked for none; see `choose_blocks`.
-    places, unlike : ndarray
-        Filled with what it has found then.
-    """
-    old_places, old_unlike = given
-    rows, cols = unlike.shape
-    for number in range(begin, end):
-        for across in range(cols):
-            best, place = old_unlike[number, across], places[number, across]
-            place[0], place[1] = old_places[number, across, 0], old_places[number, across, 1]
-            if best >= 0.0:
-                start, size = best, 2
-                top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
-                if start == math.inf:
-                    part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
-                    if place[0] or place[1]:
-                        best = _unlikeness(hides, features, top, left, place[0], place[1], best)
-                    best, size = _try_around(hides, features, top, left, part, best, place), 4
-                # Try the neighbours' places.
-                for i in range(max(number - 1, 0), min(number + 2, rows)):
-                    for j in range(max(across - 1, 0), min(across + 2, cols)):
-                        if not 0.0 <= old_unlike[i, j] < math.inf:
-                            continue
-                        down, right = old_places[i, j, 0], old_places[i, j, 1]
-                        if down == place[0] and right == place[1]:
-                            continue
-                        each = _unlikeness(hides, features, top, left, down, right, best)
-                        if each < best:
-                            best, place[0], place[1] = each, down, right
-                # Refine what was better.
-                if best < start:
-                    best = _refine(hides, features, top, left, size, best, place)
-            unlike[number, across] = best
+            chosen[number, across] = covered >= LEAST_COVER * seen
 
 
 @helper

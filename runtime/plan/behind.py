@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from spreadlets.arrays import BoolArray, DoubleArray, Image, IntArray
+from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import EVERYWHERE
 from spreadlets.runtime.label.lists import rows_of
@@ -23,6 +23,8 @@ from spreadlets.runtime.label.pixels import Labelled
 from spreadlets.runtime.label.surfaces import Surface, take_features, with_features
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.runtime.plan import _behind_kernels
+from spreadlets.runtime.plan._alike_kernels import BLOCK
+from spreadlets.runtime.plan.alike import BLOCKS_AROUND, Cells, Found, coarser_blocks, find_alike, halved, refine
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.runtime.plan.strands import Strands, find_strands
 from spreadlets.scene.frame import Layer
@@ -33,8 +35,6 @@ TINY = 1e-6
 """Share of a pixel that counts as nothing."""
 FINENESS = 4.0
 """What lies hidden is looked up in cells of this share of the blur that reveals it: it shows nothing finer."""
-BLOCKS_AROUND = -(-(_behind_kernels.FARTHEST + _behind_kernels.AROUND) // _behind_kernels.BLOCK) + 2
-"""So many blocks around those that are looked up may be compared: places are refined by a few cells."""
 COARSEST = 1
 """Cells are no larger than 2 to this power, px: of larger blocks too much is alike by chance."""
 
@@ -99,9 +99,8 @@ def find_behind(
     first, shape = surfaces[0][0], surfaces[0][0].shape
     seen, sums, reaches = _seen_of(frames[0], layering)
     # What is hidden: layer, share of the pixel, and features of each frame; and the layers in which pixels are known.
-    n_features = 4 + len(first.depths) + 2 * len(first.motions)
     hidden = [
-        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.empty((*shape, n_features), np.float32))
+        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.empty((*shape, _n_features(first)), np.float32))
         for _ in frames
     ]
     known = [np.zeros(shape, np.uint64) for _ in frames]
@@ -125,14 +124,15 @@ def find_behind(
         chosen = _choose(*cells, blur, level, seen.corner)
         if chosen is None:
             continue
-        gap, unlike = chosen
+        gap, blocks = chosen
         corner = _corner(seen.corner, level)
-        wanted = largest_around(unlike >= 0.0, 60)
-        places = None
+        places = _places(seen, frames[0], number, level, cells[0], blocks)
+        wanted = places.looked_at()
         for index, frame in enumerate(frames):
             # The same places, in the frame's own colours.
-            features = _features(seen, frame, number, level, wanted, (*cells[0].shape, n_features + 1))
-            places = _places(cells[0], features, corner, unlike) if places is None else places
+            features = _features(seen, frame, number, level, wanted)
+            if not index:
+                refine(Cells(cells[0], features, corner), places)
             looked_up = (cells[0], features, gap), (corner, *places), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
@@ -147,13 +147,13 @@ def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, I
     passes, corner = [_pass_of(each, layering) for each in surfaces], labels[-1].view.corner
     at = [EVERYWHERE if each.view.places is None else each.view.places.at for each in labels]
     cover = [np.empty_like(each.coc) for each in labels]
-    tiles = tiling(surfaces[-1][0].shape, _behind_kernels.BLOCK, corner)
+    tiles = tiling(surfaces[-1][0].shape, BLOCK, corner)
     sums = np.zeros((*tiles, layering.n_layers, 2), np.float32)
     reach = np.zeros((*tiles, layering.n_layers), np.float32)
     for given in zip(passes, at, cover, strict=True):
         surface, places, covered = given
         if len(places):
-            n_tiles = -(-len(covered) // _behind_kernels.BLOCK)
+            n_tiles = -(-len(covered) // BLOCK)
             _behind_kernels.sum_layers(0, n_tiles, surface, places, corner, covered, sums, reach)
         else:
             for_bands(_behind_kernels.sum_layers, tiles[0], surface, places, corner, covered, sums, reach)
@@ -166,8 +166,6 @@ def _blur_around(sums: Image) -> Image:
     mean = total[1] / max(total[0], TINY)
     size = 2 * TILES_AROUND + 1
     cover, blur = (ndimage.uniform_filter(sums[..., k].astype(np.float64), size, mode="constant") for k in range(2))
-    import os
-    if os.environ.get('OLD'): return np.full(sums.shape[:2], mean, np.float32)
     return np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
 
 
@@ -193,11 +191,11 @@ def _enter(seen: _Seen, number: int, level: int, nearer: Image) -> tuple[Image, 
 
 def _choose(
     hides: Image, covers: Image, blur: tuple[Image, Image, float], level: int, corner: tuple[int, int]
-) -> tuple[Image, DoubleArray] | None:
+) -> tuple[Image, BoolArray] | None:
     """Return the widths of a layer's gaps, and which blocks are to be looked up, see the kernels; None if none are."""
     across, gap = np.empty(hides.shape, np.int32), np.empty_like(hides)
     inner = _corner(corner, level)
-    blocks = tiling(hides.shape, _behind_kernels.BLOCK, inner)
+    blocks = tiling(hides.shape, BLOCK, inner)
     is_seen = np.zeros(blocks, np.bool_)
     for_bands(_behind_kernels.row_distances, len(hides), hides, inner, across, is_seen)
     if not is_seen.any():
@@ -207,9 +205,14 @@ def _choose(
     for_bands(_behind_kernels.row_distances, blocks[0], (~is_seen).astype(np.float32), (0, 0), apart, is_seen.copy())
     for_bands(_behind_kernels.nearest, blocks[0], apart, away)
     for_bands(_behind_kernels.find_gaps, len(hides), hides, across, away, blur, level, corner, gap)
-    unlike = np.empty(blocks)
-    for_bands(_behind_kernels.choose_blocks, len(unlike), hides, covers, gap, blur[1], level, corner, unlike)
-    return (gap, unlike) if (unlike >= 0.0).any() else None
+    chosen = np.empty(blocks, np.bool_)
+    for_bands(_behind_kernels.choose_blocks, len(chosen), hides, covers, gap, blur[1], level, corner, chosen)
+    return (gap, chosen) if chosen.any() else None
+
+
+def _n_features(layer: Layer) -> int:
+    """Return the features of a layer's pixels: colour and alpha, nearness and motions."""
+    return 4 + len(layer.depths) + 2 * len(layer.motions)
 
 
 def _corner(corner: tuple[int, int], level: int) -> tuple[int, int]:
@@ -217,11 +220,10 @@ def _corner(corner: tuple[int, int], level: int) -> tuple[int, int]:
     return corner[0] >> level, corner[1] >> level
 
 
-def _features(
-    seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, wanted: BoolArray, shape: tuple[int, int, int]
-) -> Image:
-    """Return what the surfaces of a frame show of a layer, without highlights, see the kernels."""
-    features = np.zeros(shape, np.float32)
+def _features(seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, wanted: BoolArray) -> Image:
+    """Return what the surfaces of a frame show of a layer in wanted blocks, without highlights, see the kernels."""
+    shape = tiling(seen.cover[-1].shape, 1 << level, seen.corner)
+    features = np.zeros((*shape, _n_features(surfaces[0][0]) + 1), np.float32)
     for each, at, (layer, _) in zip(seen.passes, seen.at, surfaces, strict=True):
         planes = layer.depths, layer.motions
         given = each._replace(radiance=layer.radiance), at, planes, number, level, seen.corner, wanted, features
@@ -237,53 +239,19 @@ def _features(
 
 
 def _places(
-    hides: Image, features: Image, corner: tuple[int, int], unlike: DoubleArray, depth: int = 0
-) -> tuple[IntArray, DoubleArray]:
-    """Return for each block where what was seen around it is most alike, and how unlike.
+    seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, hides: Image, chosen: BoolArray
+) -> Found:
+    """Return for chosen blocks where what was seen around them is most alike, from cells twice as large.
 
-    Notes
-    -----
-    PatchMatch (Barnes et al. 2009), for blocks and with trials that are the same each time.
+    What is wider than a block's surroundings, as the squares of a board, would be matched wrongly in cells of the size
+    that is copied.
     """
-    corner0 = corner
-    coarse = None
-    import os
-    if depth < int(os.environ.get('DEEP', '2')) and min(hides.shape) > 64:
-        oy, ox = corner[0] % 2, corner[1] % 2
-        H, W = -(-(hides.shape[0] + oy) // 2), -(-(hides.shape[1] + ox) // 2)
-        def half(a):
-            b = np.zeros((2 * H, 2 * W, *a.shape[2:]), np.float32)
-            b[oy : oy + a.shape[0], ox : ox + a.shape[1]] = a
-            n = np.zeros((2 * H, 2 * W), np.float32); n[oy : oy + a.shape[0], ox : ox + a.shape[1]] = 1
-            f = lambda x: x.reshape(H, 2, W, 2, *x.shape[2:]).sum(axis=(1, 3))
-            r = f(b); m = f(n)
-            return (r / m.reshape(*m.shape, *([1] * (a.ndim - 2)))).astype(np.float32)
-        c2 = (corner[0] >> 1, corner[1] >> 1)
-        nb = tiling((H, W), _behind_kernels.BLOCK, c2)
-        u2 = np.full(nb, -1.0)
-        by, bx = np.nonzero(unlike >= 0)
-        # absolute block index
-        ay, ax = (by + corner[0] // 8) >> 1, (bx + corner[1] // 8) >> 1
-        iy, ix = ay - c2[0] // 8, ax - c2[1] // 8
-        u2[iy, ix] = np.inf
-        p2, v2 = _places(half(hides), half(features), c2, u2, depth + 1)
-        coarse = np.zeros((*unlike.shape, 2), np.int64); cu = np.full(unlike.shape, np.inf)
-        coarse[by, bx] = np.where(np.isfinite(v2[iy, ix])[:, None], 2 * p2[iy, ix], 0)
-        cu[by, bx] = v2[iy, ix]
-    if coarse is not None and depth < int(os.environ.get('FIX', '1')):
-        found = coarse.copy(), unlike.copy()
-        for_bands(_behind_kernels.refine_places, len(unlike), hides, features, corner, *found)
-        none = np.isinf(found[1]) & np.isfinite(cu)
-        found[0][none], found[1][none] = coarse[none], cu[none]
-        return found
-    found = np.zeros((*unlike.shape, 2), np.int64) if coarse is None else coarse, unlike
-    for _ in range(_behind_kernels.ROUNDS):
-        before, found = found, (np.empty_like(found[0]), np.empty_like(unlike))
-        for_bands(_behind_kernels.look_up, len(unlike), hides, features, corner, before, *found)
-    if coarse is not None:
-        none = np.isinf(found[1]) & np.isfinite(cu)
-        found[0][none], found[1][none] = coarse[none], cu[none]
-    return found
+    corner = _corner(seen.corner, level)
+    coarse, inner = halved(hides, corner)
+    holding = coarser_blocks(chosen, coarse.shape, corner)
+    wanted = largest_around(holding, BLOCKS_AROUND)
+    features = _features(seen, surfaces, number, level + 1, wanted)
+    return find_alike(Cells(coarse, features, inner), holding).handed_down(chosen, corner)
 
 
 def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:
