@@ -128,7 +128,7 @@ def _try_neighbours(hides, features, top, left, given, number, across, best, pla
 
 
 @kernel
-def look_up(begin, end, hides, features, corner, given, places, unlike):
+def look_up(begin, end, hides, features, corner, first, most, given, places, unlike):
     """Find for each block where what was seen around it is most alike: among some places, then those of its neighbours.
 
     Parameters
@@ -139,30 +139,37 @@ def look_up(begin, end, hides, features, corner, given, places, unlike):
         What was seen in each cell: colour and alpha first, and last how far it blurs, px.
     corner : tuple of two ints
         Row and column of the first cell, counted from the picture's centre: blocks lie as that does.
+    first : bool
+        Whether blocks try the places that are given, and others, before they ask each other.
+    most : float
+        How unlike a place may be to be of use.
     given : tuple of ndarrays of shapes (h / BLOCK, w / BLOCK, 2), int64, and (h / BLOCK, w / BLOCK), float64
-        What each block has found: rows and columns from it to the place, 0 for none, and how unlike that is: infinite
-        if it has not looked for any yet, negative if it is not to.
+        What each block has found: rows and columns from it to the place, and how unlike that is: infinite if nothing
+        is alike, negative if it is to find nothing.
     places, unlike : ndarray
         Filled with what it has found then.
     """
     old_places, old_unlike = given
     for number in range(begin, end):
         for across in range(unlike.shape[1]):
-            best, place = old_unlike[number, across], places[number, across]
-            place[0], place[1] = old_places[number, across, 0], old_places[number, across, 1]
-            if best >= 0.0:
-                start, size = best, STEP
-                top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
-                # Try the place that was given, and others.
-                if start == math.inf:
-                    part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
-                    best, size = _unlikeness(hides, features, top, left, place[0], place[1], best), COARSE_STEP
-                    best = _try_around(hides, features, top, left, part, best, place)
-                best = _try_neighbours(hides, features, top, left, given, number, across, best, place)
-                # Refine what was better.
-                if best < start:
-                    best = _refine(hides, features, top, left, size, best, place)
-            unlike[number, across] = best
+            before, place = old_unlike[number, across], places[number, across]
+            unlike[number, across], place[0], place[1] = (
+                before,
+                old_places[number, across, 0],
+                old_places[number, across, 1],
+            )
+            if before < 0.0:
+                continue
+            start, size = min(before, most), STEP
+            best, top, left = start, number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            if first:
+                part = BLOCKS_ACROSS * (number + corner[0] // BLOCK) + across + corner[1] // BLOCK
+                best, size = _unlikeness(hides, features, top, left, place[0], place[1], best), COARSE_STEP
+                best = _try_around(hides, features, top, left, part, min(best, start), place)
+            best = _try_neighbours(hides, features, top, left, given, number, across, best, place)
+            # Refine what is better.
+            if best < start:
+                unlike[number, across] = _refine(hides, features, top, left, size, best, place)
 
 
 @kernel

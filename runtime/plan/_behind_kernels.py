@@ -24,8 +24,6 @@ LEAST_UNLIKE = 0.001
 BRIGHTEST = 4.0
 """How many times as bright as the mean around it what is copied may be: a lamp that is not there would catch the eye,
 and in a sequence it would flash."""
-EVEN = 0.25
-"""Power of light that is averaged: a lamp hardly adds to what is usual around it."""
 
 
 @helper
@@ -148,11 +146,15 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
         The blocks of cells that are to be filled.
     features : ndarray of shape (h, w, n), float32
         Changed: means of colour, of nearness and motions times alpha, and last how far it blurs, px; as for `cells`.
+        Where it has room for colour and blur only, all else is left out.
     """
     layer, farther, radiance, weight, coc, length = surface
     listed, down, left = at.shape[0] > 0, corner[0] % (1 << level), corner[1] % (1 << level)
     above, before = (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
+    whole = features.shape[2] > COLOUR + 1
     for i in range(begin, end):
+        if not listed and not wanted[(i + above) // BLOCK].any():
+            continue
         first, last = (i, i + 1) if listed else _pixels_in(i, level, corner[0], layer.shape[0])
         for row in range(first, last):
             for col in range(layer.shape[1]):
@@ -169,14 +171,15 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                 for c in range(COLOUR):
                     out[c] += part * radiance[row, col, c]
                 cover = part * radiance[row, col, 3]
-                c = COLOUR
-                for depth in planes[0]:
-                    out[c] -= cover / depth[row, col]
-                    c += 1
-                for motion in planes[1]:
-                    out[c] += cover * motion[row, col, 0]
-                    out[c + 1] += cover * motion[row, col, 1]
-                    c += 2
+                if whole:
+                    c = COLOUR
+                    for depth in planes[0]:
+                        out[c] -= cover / depth[row, col]
+                        c += 1
+                    for motion in planes[1]:
+                        out[c] += cover * motion[row, col, 0]
+                        out[c + 1] += cover * motion[row, col, 1]
+                        c += 2
                 # How far it blurs comes last.
                 out[BLUR] += cover * (abs(coc[row, col]) + np.float32(0.5) * length[row, col])
         if level and not listed:
@@ -187,9 +190,15 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                         features[i, j, c] /= np.float32((last - first) * (stop - start))
 
 
+@helper
+def _evened(light):
+    """Return the fourth root of light: to a mean of such, a lamp hardly adds."""
+    return math.sqrt(math.sqrt(light))
+
+
 @kernel
-def sum_light(begin, end, features, corner, light):
-    """Fill ``light`` (h / BLOCK, w / BLOCK, 2), float64, with the light and the alpha of blocks of cells.
+def sum_light(begin, end, features, corner, wanted, light):
+    """Fill ``light`` (h / BLOCK, w / BLOCK, 2), float64, with the evened light and the alpha of blocks of cells.
 
     Parameters
     ----------
@@ -197,16 +206,23 @@ def sum_light(begin, end, features, corner, light):
         See `add_features`.
     corner : tuple of two ints
         Row and column of the first cell, counted from the picture's centre.
+    wanted : ndarray of shape (h / BLOCK, w / BLOCK), bool
+        The blocks that are filled.
     """
     above, before = corner[0] % BLOCK, corner[1] % BLOCK
     for block in range(begin, end):
         light[block] = 0.0
-        for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
-            for j in range(features.shape[1]):
-                total, each = light[block, (j + before) // BLOCK], features[i, j]
-                if each[ALPHA] > 0.0:
-                    total[0] += each[ALPHA] * (max(each[0], each[1], each[2], 0.0) / each[ALPHA]) ** EVEN
-                    total[1] += each[ALPHA]
+        for across in range(light.shape[1]):
+            if not wanted[block, across]:
+                continue
+            sums = light[block, across]
+            for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
+                for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
+                    cover = np.float64(features[i, j, ALPHA])
+                    if cover > 0.0:
+                        brightest = max(features[i, j, 0], features[i, j, 1], features[i, j, 2], np.float32(0.0))
+                        sums[0] += cover * _evened(brightest / cover)
+                        sums[1] += cover
 
 
 @kernel
@@ -223,13 +239,15 @@ def dim_highlights(begin, end, light, corner, features):
     above, before = corner[0] % BLOCK, corner[1] % BLOCK
     for block in range(begin, end):
         for across in range(light.shape[1]):
+            if light[block, across, 1] == 0.0:
+                continue
             # The mean of the block and those beside it.
             total, cover = 0.0, 0.0
             for k in range(max(block - 1, 0), min(block + 2, light.shape[0])):
                 for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
                     total += light[k, m, 0]
                     cover += light[k, m, 1]
-            limit = BRIGHTEST * (total / max(cover, NEGLIGIBLE)) ** (1.0 / EVEN)
+            limit = BRIGHTEST * (total / max(cover, NEGLIGIBLE)) ** 4
             for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
                 for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
                     each = features[i, j]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ ROUNDS = 4
 """So often blocks try their neighbours' places."""
 BLOCKS_AROUND = -(-(2 * FARTHEST + AROUND) // BLOCK)
 """So many blocks around those that are looked up may be compared."""
+BLOCKS_NEAR = -(-(FARTHEST + AROUND) // BLOCK) + 1
+"""The same, where cells are of the size that is copied."""
 BLOCKS_BESIDE = -(-AROUND // BLOCK) + 2
 """So many around a block, or its place, are looked at when places are refined, and when they are copied."""
 
@@ -71,7 +74,7 @@ class Found(NamedTuple):
         needed = np.zeros(self.unlike.shape, np.bool_)
         needed[*block] = True
         needed[*np.clip(there.T, 0, np.array(needed.shape) - 1).T] = True
-        return largest_around(needed, BLOCKS_BESIDE) | largest_around(self.alone, BLOCKS_AROUND)
+        return largest_around(needed, BLOCKS_BESIDE) | largest_around(self.alone, BLOCKS_NEAR)
 
 
 def halved(hides: Image, corner: tuple[int, int]) -> tuple[Image, tuple[int, int]]:
@@ -108,16 +111,16 @@ def refine(cells: Cells, found: Found) -> None:
     for_bands(_alike_kernels.refine_places, len(found.unlike), *cells, *found)
     alone = found.alone
     if alone.any():
-        own = _searched(cells, alone, np.zeros_like(found.places))
+        own = _searched(cells, alone, np.zeros_like(found.places), LIKE)
         found.places[alone], found.unlike[alone] = own.places[alone], own.unlike[alone]
 
 
-def _searched(cells: Cells, chosen: BoolArray, places: IntArray) -> Found:
+def _searched(cells: Cells, chosen: BoolArray, places: IntArray, most: float = math.inf) -> Found:
     """Return what chosen blocks find, each from a place to begin with."""
     found = Found(places, np.where(chosen, np.inf, -1.0))
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         before, found = found, Found(np.empty_like(found.places), np.empty_like(found.unlike))
-        for_bands(_alike_kernels.look_up, len(chosen), *cells, tuple(before), *found)
+        for_bands(_alike_kernels.look_up, len(chosen), *cells, not number, most, tuple(before), *found)
     return found
 
 

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.label.labels import EVERYWHERE
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.pixels import Labelled
@@ -35,6 +36,8 @@ TINY = 1e-6
 """Share of a pixel that counts as nothing."""
 FINENESS = 4.0
 """What lies hidden is looked up in cells of this share of the blur that reveals it: it shows nothing finer."""
+COMPARED = 5
+"""Features that are compared: colour with alpha, and how far it blurs."""
 COARSEST = 1
 """Cells are no larger than 2 to this power, px: of larger blocks too much is alike by chance."""
 
@@ -100,8 +103,7 @@ def find_behind(
     seen, sums, reaches = _seen_of(frames[0], layering)
     # What is hidden: layer, share of the pixel, and features of each frame; and the layers in which pixels are known.
     hidden = [
-        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), np.empty((*shape, _n_features(first)), np.float32))
-        for _ in frames
+        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), buffer((*shape, _n_features(first)))) for _ in frames
     ]
     known = [np.zeros(shape, np.uint64) for _ in frames]
     nearer = np.zeros(shape, np.float32)
@@ -130,7 +132,7 @@ def find_behind(
         wanted = places.looked_at()
         for index, frame in enumerate(frames):
             # The same places, in the frame's own colours.
-            features = _features(seen, frame, number, level, wanted)
+            features = _features(seen, frame, number, level, wanted, _n_features(first) + 1)
             if not index:
                 refine(Cells(cells[0], features, corner), places)
             looked_up = (cells[0], features, gap), (corner, *places), level, seen.corner
@@ -220,10 +222,18 @@ def _corner(corner: tuple[int, int], level: int) -> tuple[int, int]:
     return corner[0] >> level, corner[1] >> level
 
 
-def _features(seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int, wanted: BoolArray) -> Image:
+def _features(
+    seen: _Seen,
+    surfaces: Sequence[Labelled],
+    number: int,
+    level: int,
+    wanted: BoolArray,
+    n_features: int = COMPARED,
+) -> Image:
     """Return what the surfaces of a frame show of a layer in wanted blocks, without highlights, see the kernels."""
     shape = tiling(seen.cover[-1].shape, 1 << level, seen.corner)
-    features = np.zeros((*shape, _n_features(surfaces[0][0]) + 1), np.float32)
+    features = buffer((*shape, n_features))
+    features[:] = 0.0
     for each, at, (layer, _) in zip(seen.passes, seen.at, surfaces, strict=True):
         planes = layer.depths, layer.motions
         given = each._replace(radiance=layer.radiance), at, planes, number, level, seen.corner, wanted, features
@@ -233,7 +243,7 @@ def _features(seen: _Seen, surfaces: Sequence[Labelled], number: int, level: int
             for_bands(_behind_kernels.add_features, len(features), *given)
     # What is copied holds no lamps.
     inner, light = _corner(seen.corner, level), np.empty((*wanted.shape, 2))
-    for_bands(_behind_kernels.sum_light, len(light), features, inner, light)
+    for_bands(_behind_kernels.sum_light, len(light), features, inner, wanted, light)
     for_bands(_behind_kernels.dim_highlights, len(light), light, inner, features)
     return features
 
