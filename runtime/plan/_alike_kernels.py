@@ -10,7 +10,7 @@ BLOCK = 8
 """Side, cells, of the blocks that are looked up together."""
 AROUND = 12
 """So far around a block, cells, it is compared with other places."""
-FARTHEST = 96
+FARTHEST = 64
 """Farthest that a block tries another place by itself along each axis, cells."""
 TRIALS = 48
 """Places that each block tries by itself; then it tries those of its neighbours, and what lies beside the best."""

@@ -113,8 +113,8 @@ def find_behind(
     for bits in known:
         bits.ravel()[strands.at] |= theirs
     for number in range(1, layering.n_layers):
-        own = _blur_around(sums[..., number, :])
-        level = min(max(int(np.log2(max(float(own.min()), 1.0) / FINENESS)), 0), COARSEST)
+        mean, own = _blur_around(sums[..., number, :])
+        level = min(max(int(np.log2(max(mean, 1.0) / FINENESS)), 0), COARSEST)
         cells = _enter(seen, number, level, nearer)
         if not sums[..., number, 0].any():
             continue
@@ -162,13 +162,13 @@ def _seen_of(surfaces: Sequence[Labelled], layering: Layering) -> tuple[_Seen, I
     return _Seen(passes, at, cover, corner), sums, reach
 
 
-def _blur_around(sums: Image) -> Image:
-    """Return how far, px, what was seen of a layer around each tile blurs in the mean; far from it, its own mean."""
+def _blur_around(sums: Image) -> tuple[float, Image]:
+    """Return how far, px, what was seen of a layer blurs in the mean, and around each tile; far from it, the same."""
     total = sums.sum(axis=(0, 1), dtype=np.float64)
-    mean = total[1] / max(total[0], TINY)
+    mean = float(total[1] / max(total[0], TINY))
     size = 2 * TILES_AROUND + 1
     cover, blur = (ndimage.uniform_filter(sums[..., k].astype(np.float64), size, mode="constant") for k in range(2))
-    return np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
+    return mean, np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
 
 
 def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
