@@ -196,6 +196,36 @@ def refine_places(begin, end, hides, features, corner, places, unlike):
 
 
 @kernel
+def find_brightest(begin, end, hides, features, corner, unlike, brightest):
+    """Find how bright what was seen around each block is.
+
+    Parameters
+    ----------
+    hides, features, corner
+        As for `look_up`.
+    unlike : ndarray of shape (h / BLOCK, w / BLOCK), float64
+        Made infinite where nothing was seen.
+    brightest : ndarray of shape (h / BLOCK, w / BLOCK), float64
+        Filled where ``unlike`` is at most `LIKE`.
+    """
+    height, width = hides.shape
+    for number in range(begin, end):
+        for across in range(unlike.shape[1]):
+            brightest[number, across] = 0.0
+            if not 0.0 <= unlike[number, across] <= LIKE:
+                continue
+            top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
+            most = -1.0
+            for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
+                for j in range(max(left - AROUND, 0), min(left + BLOCK + AROUND, width)):
+                    if 1.0 - hides[i, j] >= MOSTLY_SEEN:
+                        most = max(most, np.float64(max(features[i, j, 0], features[i, j, 1], features[i, j, 2])))
+            if most < 0.0:
+                unlike[number, across] = math.inf
+            brightest[number, across] = most
+
+
+@kernel
 def halve_cells(begin, end, fine, corner, coarse):
     """Fill ``coarse`` (h / 2, w / 2, n) with means over four cells, ``fine`` (h, w, n), both float32.
 

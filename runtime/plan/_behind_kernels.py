@@ -423,7 +423,7 @@ def take_elsewhere(begin, end, nearer, layer, seen, features, number, found, kno
 
 
 @helper
-def _copy(hides, features, corner, places, unlike, row, col, value):
+def _copy(hides, features, corner, places, unlike, brightest, row, col, value):
     """Fill ``value`` (n) with what the places of the four blocks around a cell show; return the sum of its weights.
 
     They give way to each other linearly, the more alike counting more.
@@ -450,8 +450,12 @@ def _copy(hides, features, corner, places, unlike, row, col, value):
         weight = (y - above if k // 2 else 1.0 - (y - above)) * (x - before if k % 2 else 1.0 - (x - before))
         weight /= LEAST_UNLIKE + unlike[i, j]
         total += weight
+        there, scale = features[there_row, there_col], weight / seen
+        # What is brighter than all that was seen around would catch the eye.
+        light = max(there[0], there[1], there[2])
+        dimmed = scale * min(1.0, brightest[i, j] / light) if light > 0.0 else scale
         for c in range(len(value)):
-            value[c] += weight / seen * features[there_row, there_col, c]
+            value[c] += (dimmed if c < ALPHA else scale) * there[c]
     return total
 
 
@@ -465,8 +469,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
         Share of each pixel that nearer layers hide.
     cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32
         What hides them, see `enter_layer`; `add_features`; `find_gaps`.
-    looked_up : tuple of two ints and two ndarrays
-        Row and column of the first cell, as for `row_distances`; and the blocks' places, and how unlike these are.
+    looked_up : tuple of two ints and three ndarrays
+        Row and column of the first cell, as for `row_distances`; and the blocks' places, how unlike these are, and how
+        bright what was seen around is.
     level, corner
         As for `enter_layer`.
     number : int

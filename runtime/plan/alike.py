@@ -115,6 +115,13 @@ def refine(cells: Cells, found: Found) -> None:
         found.places[alone], found.unlike[alone] = own.places[alone], own.unlike[alone]
 
 
+def brightest_around(cells: Cells, found: Found) -> DoubleArray:
+    """Return how bright what was seen around each block is; those around which nothing was lose their places."""
+    brightest = np.empty(found.unlike.shape)
+    for_bands(_alike_kernels.find_brightest, len(brightest), *cells, found.unlike, brightest)
+    return brightest
+
+
 def _searched(cells: Cells, chosen: BoolArray, places: IntArray, most: float = math.inf) -> Found:
     """Return what chosen blocks find, each from a place to begin with."""
     found = Found(places, np.where(chosen, np.inf, -1.0))

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.label.labels import EVERYWHERE
 from spreadlets.runtime.label.lists import rows_of
@@ -25,7 +25,16 @@ from spreadlets.runtime.label.surfaces import Surface, take_features, with_featu
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.runtime.plan import _behind_kernels
 from spreadlets.runtime.plan._alike_kernels import BLOCK
-from spreadlets.runtime.plan.alike import BLOCKS_AROUND, Cells, Found, coarser_blocks, find_alike, halved, refine
+from spreadlets.runtime.plan.alike import (
+    BLOCKS_AROUND,
+    Cells,
+    Found,
+    brightest_around,
+    coarser_blocks,
+    find_alike,
+    halved,
+    refine,
+)
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.runtime.plan.strands import Strands, find_strands
 from spreadlets.scene.frame import Layer
@@ -133,9 +142,11 @@ def find_behind(
         for index, frame in enumerate(frames):
             # The same places, in the frame's own colours.
             features = _features(seen, frame, number, level, wanted, _n_features(first) + 1)
+            here = Cells(cells[0], features, corner)
             if not index:
-                refine(Cells(cells[0], features, corner), places)
-            looked_up = (cells[0], features, gap), (corner, *places), level, seen.corner
+                refine(here, places)
+            brightest = brightest_around(here, places)
+            looked_up = (cells[0], features, gap), (corner, *places, brightest), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
         Behind(_listed(frame[-1][0], first, *found[1:], strands), each)
@@ -166,9 +177,8 @@ def _blur_around(sums: Image) -> tuple[float, Image]:
     """Return how far, px, what was seen of a layer blurs in the mean, and around each tile; far from it, the same."""
     total = sums.sum(axis=(0, 1), dtype=np.float64)
     mean = float(total[1] / max(total[0], TINY))
-    size = 2 * TILES_AROUND + 1
-    cover, blur = (ndimage.uniform_filter(sums[..., k].astype(np.float64), size, mode="constant") for k in range(2))
-    return mean, np.asarray((blur + TINY * mean) / (cover + TINY), np.float32)
+    cover, blur = (box_blurred(np.ascontiguousarray(sums[..., k]), TILES_AROUND) for k in range(2))
+    return mean, (blur + np.float32(TINY * mean)) / (cover + np.float32(TINY))
 
 
 def _pass_of(surface: Labelled, layering: Layering) -> _Pass:
