@@ -10,6 +10,8 @@ BLOCK = 8
 """Side, cells, of the blocks that are looked up together."""
 AROUND = 12
 """So far around a block, cells, it is compared with other places."""
+NEAREST = 4
+"""Nearest that another place may lie: a nearer one shows hardly more than what was seen."""
 FARTHEST = 64
 """Farthest that a block tries another place by itself along each axis, cells."""
 TRIALS = 48
@@ -27,10 +29,14 @@ HIDDEN_PRICE = 1.0
 """The same of a place where nothing was seen of what is looked for."""
 SPARSE, SHEAR = 9, 4
 """Every ninth cell is compared: of each row others, so that neither rows nor columns are left out."""
-TOO_FEW = 8
+TOO_FEW = 20
 """Cells that must be comparable."""
 LIKE = 0.05
 """Mean squared relative difference, summed over features, up to which two places show the same texture."""
+RANDOM = 0.5
+"""How unlike places may be, in the variance around them."""
+EVEN = 0.005
+"""How unlike they may be anyway: where nothing varies, one place is as good as another."""
 COLOUR, ALPHA, BLUR = 4, 3, -1
 """Colour comes first among the features, with alpha; how far a pixel blurs, px, comes last."""
 COARSE_STEP, STEP, FINE_STEP = 4, 2, 1
@@ -41,7 +47,7 @@ COARSE_STEP, STEP, FINE_STEP = 4, 2, 1
 def _unlikeness(hides, features, top, left, down, right, most):
     """Return how unlike, mean squared, what was seen around a block is to what was seen (down, right) of it."""
     height, width = hides.shape
-    if down == 0 and right == 0:
+    if max(abs(down), abs(right)) < NEAREST:
         return math.inf
     price = min(FAR_PRICE * (down * down + right * right), MOST_PRICE)
     if price >= most:
@@ -195,34 +201,50 @@ def refine_places(begin, end, hides, features, corner, places, unlike):
                 unlike[number, across] = best
 
 
+@helper
+def _look_around(hides, features, top, left, sums):
+    """Return how bright what was seen around a block is, and how much its colours vary, as `_unlikeness` counts it."""
+    height, width = hides.shape
+    brightest, count, sums[:] = 0.0, 0, 0.0
+    for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
+        for j in range(max(left - AROUND, 0), min(left + BLOCK + AROUND, width)):
+            if 1.0 - hides[i, j] < MOSTLY_SEEN:
+                continue
+            count += 1
+            for c in range(ALPHA):
+                light = np.float64(features[i, j, c])
+                brightest = max(brightest, light)
+                sums[c, 0] += light
+                sums[c, 1] += light * light
+    varied = 0.0
+    for c in range(ALPHA):
+        mean = sums[c, 0] / max(count, 1)
+        varied += max(sums[c, 1] / max(count, 1) - mean * mean, 0.0) / (2.0 * mean + LEAST_LIGHT) ** 2
+    return brightest, varied
+
+
 @kernel
-def find_brightest(begin, end, hides, features, corner, unlike, brightest):
-    """Find how bright what was seen around each block is.
+def judge_places(begin, end, hides, features, corner, unlike, brightest):
+    """Find how bright what was seen around each block is, and which places are not more alike than any other.
 
     Parameters
     ----------
     hides, features, corner
         As for `look_up`.
     unlike : ndarray of shape (h / BLOCK, w / BLOCK), float64
-        Made infinite where nothing was seen.
+        Made infinite where a place is no more alike than two of a random texture, which differ by twice its variance.
     brightest : ndarray of shape (h / BLOCK, w / BLOCK), float64
         Filled where ``unlike`` is at most `LIKE`.
     """
-    height, width = hides.shape
+    sums = np.empty((ALPHA, 2))
     for number in range(begin, end):
         for across in range(unlike.shape[1]):
-            brightest[number, across] = 0.0
             if not 0.0 <= unlike[number, across] <= LIKE:
                 continue
             top, left = number * BLOCK - corner[0] % BLOCK, across * BLOCK - corner[1] % BLOCK
-            most = -1.0
-            for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
-                for j in range(max(left - AROUND, 0), min(left + BLOCK + AROUND, width)):
-                    if 1.0 - hides[i, j] >= MOSTLY_SEEN:
-                        most = max(most, np.float64(max(features[i, j, 0], features[i, j, 1], features[i, j, 2])))
-            if most < 0.0:
+            brightest[number, across], varied = _look_around(hides, features, top, left, sums)
+            if unlike[number, across] > max(RANDOM * varied, EVEN):
                 unlike[number, across] = math.inf
-            brightest[number, across] = most
 
 
 @kernel

@@ -115,10 +115,10 @@ def refine(cells: Cells, found: Found) -> None:
         found.places[alone], found.unlike[alone] = own.places[alone], own.unlike[alone]
 
 
-def brightest_around(cells: Cells, found: Found) -> DoubleArray:
-    """Return how bright what was seen around each block is; those around which nothing was lose their places."""
-    brightest = np.empty(found.unlike.shape)
-    for_bands(_alike_kernels.find_brightest, len(brightest), *cells, found.unlike, brightest)
+def judged(cells: Cells, found: Found) -> DoubleArray:
+    """Return how bright what was seen around each block is; places that are alike by chance are given up."""
+    brightest = np.zeros(found.unlike.shape)
+    for_bands(_alike_kernels.judge_places, len(brightest), *cells, found.unlike, brightest)
     return brightest
 
 

@@ -29,10 +29,10 @@ from spreadlets.runtime.plan.alike import (
     BLOCKS_AROUND,
     Cells,
     Found,
-    brightest_around,
     coarser_blocks,
     find_alike,
     halved,
+    judged,
     refine,
 )
 from spreadlets.runtime.plan.layering import Layering
@@ -145,7 +145,7 @@ def find_behind(
             here = Cells(cells[0], features, corner)
             if not index:
                 refine(here, places)
-            brightest = brightest_around(here, places)
+            brightest = judged(here, places)
             looked_up = (cells[0], features, gap), (corner, *places, brightest), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
