@@ -132,9 +132,9 @@ def test_shares_are_those_that_the_nearer_layer_hides():
 def test_what_no_blur_reveals_is_not_looked_for():
     behind = checkerboard()
     radiance, depth = behind.copy(), np.full((SIZE, SIZE), depth_of(0.0))
-    radiance[:, 12:52], depth[:, 12:52] = 0.5, depth_of(-4.0)
+    radiance[:, 22:42], depth[:, 22:42] = 0.5, depth_of(-4.0)
     _, share = hidden(Frame(radiance, depth).layers[0])
-    assert not share[:, 20:44].any() and share[8:-8, 12:15].any()
+    assert not share[:, 30:34].any() and share[8:-8, 22:25].any()
 
 
 def test_noise_is_not_copied():
