@@ -13,7 +13,7 @@ from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.runtime.plan import _alike_kernels
 from spreadlets.runtime.plan._alike_kernels import AROUND, BLOCK, FARTHEST, LIKE
 
-ROUNDS = 4
+ROUNDS = 3
 """So often blocks try their neighbours' places."""
 BLOCKS_AROUND = -(-(2 * FARTHEST + AROUND) // BLOCK)
 """So many blocks around those that are looked up may be compared."""
