@@ -15,10 +15,10 @@ from spreadlets.runtime.plan._alike_kernels import AROUND, BLOCK, FARTHEST, LIKE
 
 ROUNDS = 3
 """So often blocks try their neighbours' places."""
-BLOCKS_AROUND = -(-(2 * FARTHEST + AROUND) // BLOCK)
-"""So many blocks around those that are looked up may be compared."""
-BLOCKS_NEAR = -(-(FARTHEST + AROUND) // BLOCK) + 1
-"""The same, where cells are of the size that is copied."""
+BLOCKS_NEAR = -(-(FARTHEST + AROUND) // BLOCK) + 3
+"""So many blocks around those that look for a place may be compared: places move on by up to 13 cells in all."""
+BLOCKS_AROUND = 2 * BLOCKS_NEAR
+"""The same, from places in cells twice as large."""
 BLOCKS_BESIDE = -(-AROUND // BLOCK) + 2
 """So many around a block, or its place, are looked at when places are refined, and when they are copied."""
 
@@ -62,19 +62,13 @@ class Found(NamedTuple):
         places[chosen], unlike[chosen] = 2 * self.places[above], self.unlike[above]
         return Found(places, unlike)
 
-    @property
-    def alone(self) -> BoolArray:
-        """Which blocks have found nothing that is alike."""
-        return self.unlike > LIKE
-
     def looked_at(self) -> BoolArray:
-        """Return which blocks tell what is seen around those that have found a place, and around the places."""
-        block = np.stack(np.nonzero((self.unlike >= 0.0) & (self.unlike < np.inf)))
-        there = block + self.places[*block].T // BLOCK
-        needed = np.zeros(self.unlike.shape, np.bool_)
-        needed[*block] = True
-        needed[*np.clip(there.T, 0, np.array(needed.shape) - 1).T] = True
-        return largest_around(needed, BLOCKS_BESIDE) | largest_around(self.alone, BLOCKS_NEAR)
+        """Return which blocks tell what is seen around those that look for a place, and around what they have found."""
+        block = np.stack(np.nonzero(self.unlike >= 0.0))
+        there = np.clip(block + self.places[*block].T // BLOCK, 0, np.array(self.unlike.shape)[:, None] - 1)
+        own, found = np.zeros((2, *self.unlike.shape), np.bool_)
+        own[*block] = found[*there] = True
+        return np.asarray(largest_around(own, BLOCKS_NEAR) | largest_around(found, BLOCKS_BESIDE))
 
 
 def halved(hides: Image, corner: tuple[int, int]) -> tuple[Image, tuple[int, int]]:
@@ -107,9 +101,9 @@ def find_alike(cells: Cells, chosen: BoolArray) -> Found:
 
 
 def refine(cells: Cells, found: Found) -> None:
-    """Move places by a cell or so, in place, where that is more alike; those that found none look for one here."""
+    """Move places by a cell or so, in place, where that is more alike; blocks that found none look for one here."""
     for_bands(_alike_kernels.refine_places, len(found.unlike), *cells, *found)
-    alone = found.alone
+    alone = found.unlike > LIKE
     if alone.any():
         own = _searched(cells, alone, np.zeros_like(found.places), LIKE)
         found.places[alone], found.unlike[alone] = own.places[alone], own.unlike[alone]
