@@ -20,7 +20,7 @@ of the image over that of the truth. Single pixels are compared by themselves: t
 pixel itself, next to which nothing else would count; the share of light less than 16 px away, in fog of what is not in
 the pixel, and what is in it; how far red is from blue, px, or how much blue there is to red.
 
-Takes two minutes on two cores. Writes monte_carlo.txt and monte_carlo.png to benchmarks/results: the frame, the truth,
+Takes some three minutes of processor time. Writes monte_carlo.txt and monte_carlo.png to benchmarks/results: the frame, the truth,
 the image of all layers and of one, and four times the difference of the first; through the heart, and in fog.
 """
 
@@ -494,11 +494,11 @@ def fog_truth(drawn: Drawn, gains: np.ndarray, cosines: np.ndarray, counts: tupl
     ``counts`` are the paths of a pixel and of a lamp.
     """
     modelled, whole = np.moveaxis(walk_from_pixels(drawn.kind, drawn.colour, gains, cosines, counts[0], seed), 2, 0)
-    places = np.arange(SIDE) - 0.5 * (SIDE - 1)
+    at = np.arange(SIDE) - 0.5 * (SIDE - 1)
     for number, lamp in enumerate(LAMPS):
         image, near = walk_from_lamp(drawn.kind, lamp, cosines, counts[1], seed + SIDE + PARTS * number)
         image = image + ndimage.zoom(near, (BLOCK, BLOCK, 1), order=1, mode="nearest", grid_mode=True)
-        inside = np.hypot(places - lamp[1], places[:, None] - lamp[2]) < RADIUS_PX
+        inside = np.hypot(at - lamp[1], at[:, None] - lamp[2]) < RADIUS_PX
         scale = DEPTHS[int(lamp[0])] / FOCAL_PX
         gain = at_distance(gains, lamp[1] * scale, lamp[2] * scale, DEPTHS[int(lamp[0])])
         modelled, whole = modelled + gain * inside[..., None] * image, whole + image
@@ -508,19 +508,28 @@ def fog_truth(drawn: Drawn, gains: np.ndarray, cosines: np.ndarray, counts: tupl
 # --- The comparison --------------------------------------------------------------------------------------------------
 
 
-def figures(image: np.ndarray, truth: np.ndarray) -> list[str]:
-    """Return the columns of an image; its light is that of all pixels over the truth's."""
+def places(drawn: Drawn) -> list[np.ndarray]:
+    """Return where the image is judged for its light: everywhere, on the disc, on the board; (SIDE, SIDE), bool."""
+    on = drawn.kind[:, FINE // 2 :: FINE, FINE // 2 :: FINE][:, MARGIN:-MARGIN, MARGIN:-MARGIN] == SURFACE
+    return [np.ones((SIDE, SIDE), np.bool_), on[0], on[1]]
+
+
+def figures(image: np.ndarray, truth: np.ndarray, where: list[np.ndarray]) -> list[str]:
+    """Return the columns of an image; its light is that over the truth's."""
     found = sp.metrics.compare(image, truth)
-    numbers = found["ssim"], found["psnr"], found.get("flip", math.nan), image.mean() / truth.mean()
-    return [f"{number:.{digits}f}" for number, digits in zip(numbers, (4, 2, 4, 4), strict=True)]
+    lights = [image[each].mean() / truth[each].mean() for each in where]
+    numbers = found["ssim"], found["psnr"], found.get("flip", math.nan), *lights
+    return [f"{number:.{digits}f}" for number, digits in zip(numbers, (4, 2, 4, 4, 4, 4), strict=True)]
 
 
-def compare_frame(report: Report, name: str, truths: list[np.ndarray], images: dict[str, np.ndarray]) -> None:
+def compare_frame(
+    report: Report, name: str, truths: list[np.ndarray], images: dict[str, np.ndarray], where: list[np.ndarray]
+) -> None:
     """Add the rows of a model: its images against the mean of two truths, and those against each other."""
     truth = np.mean(truths, axis=0)
     for kind, image in images.items():
-        report.row(f"{name}, {kind}", *figures(image, truth))
-    report.row("halves of the truth", *figures(*truths))
+        report.row(f"{name}, {kind}", *figures(image, truth, where))
+    report.row("halves of the truth", *figures(*truths, where))
 
 
 def single_pixel(database: str, depth: float) -> np.ndarray:
@@ -552,14 +561,14 @@ def without_spike(psf: np.ndarray) -> np.ndarray:
 def compare_hearts(report: Report, aperture: Aperture, seed: int) -> None:
     """Add the rows of single pixels through the heart."""
     report.row("a pixel through the heart", "similarity", "of halves", "near it", "true", "red - blue", "true")
-    places = np.arange(2 * MARGIN + 1) - MARGIN
+    column = np.arange(2 * MARGIN + 1) - MARGIN
     for coc in PIXEL_COCS:
         made = single_pixel("stylized", 1.0 / (1.0 / FOCUS - coc / CAMERA.coc_scale(WHOLE)))
         pair = [heart_of_a_pixel(aperture, coc, seed + half) for half in (0, 1)]
         truth = np.mean(pair, axis=0)
         similar = (sp.metrics.psf_similarity(*both) for both in ((truth, made), pair))
         # The middles of red and blue are apart by twice the offset.
-        apart = [float(places @ (psf[..., 0] - psf[..., 2]).sum(axis=0)) for psf in (made, truth)]
+        apart = [float(column @ (psf[..., 0] - psf[..., 2]).sum(axis=0)) for psf in (made, truth)]
         near = [near_share(psf) for psf in (made, truth)]
         report.row(f"CoC of {coc:g} px", *similar, *(f"{number:.3f}" for number in (*near, *apart)))
 
@@ -604,15 +613,19 @@ def draw_frames(given: dict[str, sp.Frame]) -> dict[str, dict[str, np.ndarray]]:
 
 
 def compare_frames(
-    report: Report, hearts: list[np.ndarray], fogs: list[np.ndarray], images: dict[str, dict[str, np.ndarray]]
+    report: Report,
+    truths: tuple[list[np.ndarray], list[np.ndarray]],
+    images: dict[str, dict[str, np.ndarray]],
+    where: list[np.ndarray],
 ) -> None:
-    """Add the rows of the frames; ``fogs`` are two of what `fog_truth` returns."""
-    report.row("frame", "SSIM", "PSNR, dB", "FLIP", "light")
-    compare_frame(report, "heart", hearts, images["stylized"])
-    compare_frame(report, "fog", [fog[0] for fog in fogs], images["volume"])
+    """Add the rows of the frames; the truths are two of what `heart_truth` returns and two of `fog_truth`."""
+    hearts, fogs = truths
+    report.row("frame", "SSIM", "PSNR, dB", "FLIP", "light", "on disc", "on board")
+    compare_frame(report, "heart", hearts, images["stylized"], where)
+    compare_frame(report, "fog", [fog[0] for fog in fogs], images["volume"], where)
     in_layers = images["volume"]["in layers"]
     exposure = in_layers.mean() / np.mean([fog[1].mean() for fog in fogs])
-    compare_frame(report, "fog, all light", [exposure * fog[1] for fog in fogs], {"in layers": in_layers})
+    compare_frame(report, "fog, all light", [exposure * fog[1] for fog in fogs], {"in layers": in_layers}, where)
     report.add()
 
 
@@ -634,7 +647,7 @@ def main() -> None:
     counts = arguments.paths // 2, arguments.lamp_paths // 2
     fogs = [fog_truth(drawn, gains, cosines, counts, seed) for seed in seeds[:2]]
     # Frames and single pixels.
-    compare_frames(report, hearts, fogs, images)
+    compare_frames(report, (hearts, fogs), images, places(drawn))
     compare_hearts(report, aperture, seeds[3])
     report.add()
     compare_fogs(report, cosines, seeds[4])

@@ -58,6 +58,16 @@ def table_of(name: str, first: int = FIRST) -> list[str]:
     return markdown(rows[0], ((row + [""] * width)[:width] for row in rows[1:]))
 
 
+def tables_of(name: str) -> list[str]:
+    """Return each table of a result that has several, which empty lines part, below one another."""
+    path = RESULTS / name
+    if not path.exists():
+        return [f"*Missing: no `{name}` in benchmarks/results.*", ""]
+    begins = [block.lstrip("\n").split("\n")[0] for block in path.read_text().split("\n\n")]
+    tables = (part(name, begin) for begin in begins)
+    return [line for rows in tables for line in [*markdown(rows[0], rows[1:]), ""]]
+
+
 def picture(name: str, what: str) -> list[str]:
     """Return a picture of the results, or that it is missing."""
     return [f"![{what}]({PLACE}{name})" if (RESULTS / name).exists() else f"*Missing: {name} ({what}).*", ""]
@@ -97,11 +107,11 @@ def psf_zoo() -> list[str]:
 
 
 def from_lks(begin: str, end: str) -> list[str]:
-    """Return a part of lks.md, from a heading to another, with pictures seen from the page."""
+    """Return a part of lks.md, from a heading to another, with its pictures and links seen from the page."""
     text = (RESULTS / "lks.md").read_text()
     found = text[text.index(begin) :]
     found = found[: found.index(end)] if end and end in found else found
-    return re.sub(r"\]\((?=\w+\.png)", f"]({PLACE}", found).replace("\n## ", "\n### ").splitlines()[1:]
+    return re.sub(r"\]\((?=\w+\.(?:png|txt))", f"]({PLACE}", found).replace("\n## ", "\n### ").splitlines()[1:]
 
 
 def slr_times() -> list[str]:
@@ -161,6 +171,10 @@ def lks() -> list[str]:
         "![A frame with stylized](models/stylized_frame.png)",
         "![A frame with volume](models/volume_frame.png)",
         "",
+        "Both against a Monte Carlo that shares nothing with them (`benchmarks/monte_carlo.py`):",
+        "",
+        *tables_of("monte_carlo.txt"),
+        *picture("monte_carlo.png", "frame, truth, all layers, one layer, difference x 4; heart and fog"),
     ]
 
 
