@@ -20,8 +20,9 @@ of the image over that of the truth. Single pixels are compared by themselves: t
 pixel itself, next to which nothing else would count; the share of light less than 16 px away, in fog of what is not in
 the pixel, and what is in it; how far red is from blue, px, or how much blue there is to red.
 
-Takes some three minutes of processor time. Writes monte_carlo.txt and monte_carlo.png to benchmarks/results: the frame, the truth,
-the image of all layers and of one, and four times the difference of the first; through the heart, and in fog.
+Takes some three minutes of processor time. Writes monte_carlo.txt and monte_carlo.png to benchmarks/results. The
+picture shows the frame, the truth, the image of all layers and of one, and four times the difference of the first:
+above through the heart, below in fog.
 """
 
 # ruff: noqa: NPY002 (compiled loops have no other random numbers)
