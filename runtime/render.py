@@ -148,7 +148,8 @@ def synthesize_all(
         images = [_filtered(each, camera, database, options, clock, tally, dense_psf) for each in shown]
     else:
         closed = is_opaque(frame.layers[-1].radiance)
-        effects = Effects(options.defocus, options.motion, database.grid.model.has_motion, options)
+        defocus = options.defocus and _has_defocus(database)
+        effects = Effects(defocus, options.motion, database.grid.model.has_motion, options)
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
         given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
@@ -464,6 +465,16 @@ def _filtered(
             add_layer(image, filtered, (0, 0), COVERAGE)
         tally.add_plan(plan, 1)
     return image
+
+
+def _has_defocus(database: Database) -> bool:
+    """Tell whether the database's PSFs are those of a lens; say so if not, for then the camera's changes nothing."""
+    model = database.grid.model
+    if not model.has_defocus:
+        warnings.warn(
+            f"the database's model {model.name!r} has no axis 'coc': the camera's defocus is ignored", stacklevel=3
+        )
+    return model.has_defocus
 
 
 def _check_fit(database: Database, camera: ThinLens, width: int) -> None:

@@ -217,6 +217,11 @@ class PsfModel:
         return len(self.axes)
 
     @property
+    def has_defocus(self) -> bool:
+        """Whether the PSFs are those of a lens, whose focus and f-number change them."""
+        return any(axis.name in ("coc", "depth") for axis in self.axes)
+
+    @property
     def has_motion(self) -> bool:
         """Whether the PSFs are those of things that move."""
         return any(axis.name == "motion" for axis in self.axes)

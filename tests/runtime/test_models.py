@@ -1,5 +1,7 @@
 """Coloured, turned and one-sided PSFs from database to image."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -153,6 +155,17 @@ def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog):
     assert ssim(sparse[..., :3], dense[..., :3]) > 0.99
     assert sparse[..., 1].std() < 0.8 * clear[..., 1].std()
     assert sparse[..., 2].mean() < clear[..., 2].mean()
+
+
+def test_fog_does_not_depend_on_the_lens(fog):
+    """Nor do the layers that a frame of one layer is divided into, and what is guessed behind them."""
+    depth = np.full((SIZE, SIZE), 3.0, np.float32)
+    depth[20:44, 20:44] = 0.5
+    frame = Frame(noise_frame(np.zeros(SIZE)).radiance[..., :3], depth)
+    with pytest.warns(UserWarning, match="no axis 'coc': the camera's defocus is ignored"):
+        wide, narrow = (synthesize(frame, replace(CAMERA, f_number=each), fog) for each in (0.02, 16.0))
+    np.testing.assert_array_equal(wide, narrow)
+    np.testing.assert_array_equal(wide, synthesize(frame, CAMERA, fog, defocus=False))
 
 
 def test_fog_keeps_the_texture_that_light_brings_through_it(fog):
