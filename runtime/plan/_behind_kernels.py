@@ -7,8 +7,6 @@ import numpy as np
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, BLUR, COLOUR, LIKE, MOSTLY_SEEN
 
-TILE = BLOCK
-"""Side, px, of the tiles whose blur is known."""
 EXACT = 16.0
 """Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
 LEAST_GAP = 1.0

@@ -145,7 +145,8 @@ def find_behind(
             here = Cells(cells[0], features, corner)
             if not index:
                 refine(here, places)
-            brightest = judged(here, places)
+            # Which places are given up, the first frame alone decides.
+            brightest = judged(here, places if not index else places._replace(unlike=places.unlike.copy()))
             looked_up = (cells[0], features, gap), (corner, *places, brightest), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
