@@ -71,6 +71,18 @@ def test_lamps_are_not_copied():
     assert np.median(np.abs(colours[..., :3] - bright)[8:-8, POST].max(axis=2)[share[8:-8, POST] > 0.5]) < 0.4
 
 
+@pytest.mark.interpreted
+def test_what_is_copied_is_no_brighter_than_all_that_was_seen_around():
+    hides, features = np.zeros((8, 24), np.float32), np.ones((8, 24, 5), np.float32)
+    features[:, 8:16, :3] = 4.0
+    places, unlike = np.tile(np.int64((0, 8)), (1, 3, 1)), np.array([[0.01, -1.0, -1.0]])
+    near, far, looked_up = np.float32(hides == 0), np.zeros_like(hides), (8, 24)
+    found = np.zeros(looked_up, np.int32), np.zeros(looked_up, np.float32), np.zeros((*looked_up, 4), np.float32)
+    known, given = np.zeros(looked_up, np.uint64), ((0, 0), places, unlike, np.full((1, 3), 0.5))
+    _behind_kernels.find_behind(0, 8, near, (hides, features, far), given, 0, (0, 0), 1, found, known)
+    assert np.allclose(found[2][:, :8], (0.5, 0.5, 0.5, 1.0))
+
+
 def test_squares_wider_than_what_blocks_are_compared_by_go_on():
     size, cell, post = 192, 24, slice(92, 112)
     rows, cols = np.indices((size, size))
