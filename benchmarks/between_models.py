@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from models import cell_psf
 from scenes import Report, result_path
 
 import spreadlets as sp
 from spreadlets.precompute.build import between_cells
 from spreadlets.precompute.models.grids import model_grid
-from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.model import PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet
@@ -59,14 +59,7 @@ class Spreadlets:
     def __call__(self, cell: int, pose: int) -> Spreadlet:
         """Return the spreadlet of a cell and pose."""
         if (cell, pose) not in self.known:
-            grid = self.grid
-            psf = trace_psf(
-                grid.model,
-                grid.box(cell),
-                angle=float(grid.angles(cell)[pose]),
-                angle_half_width=grid.angle_half_width(cell),
-                side=grid.side(cell, pose),
-            )
+            psf = cell_psf(self.grid, cell, pose)
             self.known[cell, pose] = sparsify(psf)[0]
         return self.known[cell, pose]
 

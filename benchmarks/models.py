@@ -209,15 +209,20 @@ def table(columns: tuple[str, ...], rows: list[list[object]]) -> str:
     return "\n".join("  ".join(x.rjust(w) for x, w in zip(row, widths, strict=True)) for row in cells)
 
 
-def priced(grid: PsfGrid, cell: int, number: int) -> list[tuple[float, float, float]]:
-    """Return sparsity, similarity and support of one pose at each price."""
-    psf = trace_psf(
+def cell_psf(grid: PsfGrid, cell: int, number: int) -> np.ndarray:
+    """Trace the PSF of one pose of a cell, as a build does."""
+    return trace_psf(
         grid.model,
         grid.box(cell),
         angle=float(grid.angles(cell)[number]),
         angle_half_width=grid.angle_half_width(cell),
         side=grid.side(cell, number),
     )
+
+
+def priced(grid: PsfGrid, cell: int, number: int) -> list[tuple[float, float, float]]:
+    """Return sparsity, similarity and support of one pose at each price."""
+    psf = cell_psf(grid, cell, number)
     found = []
     for price in PRICES:
         with patch.multiple(sparsify, PRICE=price, **UNBOUND):
