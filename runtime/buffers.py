@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 LEAST_BYTES = 1 << 18
 """Smaller arrays are cheap as they are."""
-MOST_IDLE_BYTES = 96 << 20
+MOST_IDLE_BYTES = 256 << 20
 """Memory that waits to be lent, at most: the canvases of a frame of some 1024 x 1024 pixels."""
 MOST_TOO_LARGE = 8
 """A piece of memory is lent for arrays of at least its size over this."""

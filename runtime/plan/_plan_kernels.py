@@ -296,13 +296,13 @@ def sum_colours(begin, end, radiance, total):
 
 
 @kernel
-def mark_keys(begin, end, key, lowest, place):
-    """Set ``place`` (n_keys,), int32, to 0 for each key in use, counted from the lowest."""
-    # Threads may write the same place, but nothing else than 0.
+def mark_keys(begin, end, key, lowest, is_used):
+    """Mark in ``is_used`` (n_keys,), bool, each key in use, counted from the lowest."""
+    # Threads may write the same place, but nothing else than True.
     for row in range(begin, end):
         for col in range(key.shape[1]):
             if key[row, col] != INVISIBLE:
-                place[key[row, col] - lowest] = 0
+                is_used[key[row, col] - lowest] = True
 
 
 @kernel

@@ -277,7 +277,7 @@ def _places(
 
 def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:
     """Return a list of the pixels of a frame in which something lies hidden, strands of the frame's colours too."""
-    chosen = np.flatnonzero(share)
+    chosen = np.flatnonzero(share != 0.0)
     number, part, shown = chosen, share.ravel()[chosen], features.reshape(-1, features.shape[2])[chosen]
     if len(strands.at):
         on_sides = take_features(frame, first, np.unravel_index(strands.sides, frame.shape)).mean(axis=1)

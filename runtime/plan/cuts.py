@@ -17,7 +17,7 @@ from spreadlets.runtime.plan import _cut_kernels
 
 MEETING_PIXELS = 1 << 17
 """About so many pixels are looked at."""
-LEAST_GAIN = 0.002
+LEAST_GAIN = 0.005
 """Mean harm, px of blur for each pair of pixels, that a further layer must spare: it costs a pass over its canvas."""
 SEAM_PRICE = 1.0
 """Harm, px, of a cut through a surface, for each pair of neighbours that it parts: each hides a little of the other."""

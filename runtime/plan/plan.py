@@ -17,6 +17,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.psf.model import PsfGrid
 from spreadlets.remembered import Remembered
+from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.label.carried import carried
 from spreadlets.runtime.label.labels import EXTENT_SHARES, HEADINGS, NO_SHIFT, Labels, coordinates, ignored_effects
 from spreadlets.runtime.label.lists import Pixels
@@ -454,10 +455,11 @@ def _numbered(
 ) -> tuple[npt.NDArray[np.int64], list[npt.NDArray[np.int32]]]:
     """Return the keys in use, ascending; and for each set the number of each pixel's key, -1 where invisible."""
     lowest, highest = (int(pick([pick(key) for key in keys] + [0])) for pick in (np.min, np.max))
-    place = np.full(1 + highest - lowest, -1, np.int32)
+    is_used, place = buffer((1 + highest - lowest,), np.bool_), buffer((1 + highest - lowest,), np.int32)
+    is_used[:] = False
     for key in keys:
-        for_bands(_plan_kernels.mark_keys, len(key), key, lowest, place)
-    used = np.flatnonzero(place == 0)
+        for_bands(_plan_kernels.mark_keys, len(key), key, lowest, is_used)
+    used = np.flatnonzero(is_used)
     place[used] = np.arange(len(used))
     indices = [np.empty(key.shape, np.int32) for key in keys]
     for key, index in zip(keys, indices, strict=True):

@@ -47,6 +47,6 @@ def find_strands(labels: Labels, cover: Image) -> Strands:
     found = np.zeros(place.shape, np.float32), np.empty((*place.shape, 2), np.int32)
     _strand_kernels.lay_strands(0, len(place), place, LEAST_GAP, ends, shares, found)
     _strand_kernels.close_holes(0, len(place), *found)
-    at = np.flatnonzero(found[0])
+    at = np.flatnonzero(found[0] != 0.0)
     sides, covers = found[1].reshape(-1, 2)[at], cover.ravel()
     return Strands(at, sides, found[0].ravel()[at] * covers[at] * covers[sides].mean(axis=1))
