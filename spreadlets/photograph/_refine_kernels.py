@@ -8,6 +8,45 @@ BINS = 32
 """Into which the depths around a pixel are sorted to find their median."""
 
 
+PLATEAU = 0.25
+"""Share of the range of depths around a pixel, at either end of it, that is not on the ramp between two surfaces."""
+
+
+@kernel
+def end_ramps(begin, end, depth, low, high, window, sharpened):
+    """Give pixels on a ramp between two surfaces the depth of the one that they are nearer to.
+
+    Parameters
+    ----------
+    depth : ndarray of shape (H, W), float32
+    low, high : ndarray of shape (H, W), float32
+        Range of the depths around each pixel; where they are equal there is no ramp, and the depth stays.
+    window : tuple of int
+        Half-width of what is looked at, px, and the step between the pixels that are.
+    sharpened : ndarray of shape (H, W), float32
+        Filled.
+    """
+    height, width = depth.shape
+    half, step = window
+    for row in range(begin, end):
+        for col in range(width):
+            least, most = low[row, col], high[row, col]
+            sharpened[row, col] = depth[row, col]
+            if not most > least:
+                continue
+            # Average what lies at its end of the range.
+            reach = np.float32(PLATEAU) * (most - least)
+            is_near = depth[row, col] - least > most - depth[row, col]
+            count, total = 0, 0.0
+            for i in range(max(row - half, 0), min(row + half + 1, height), step):
+                for j in range(max(col - half, 0), min(col + half + 1, width), step):
+                    if (most - depth[i, j] if is_near else depth[i, j] - least) <= reach:
+                        count += 1
+                        total += depth[i, j]
+            if count:
+                sharpened[row, col] = total / count
+
+
 @kernel
 def weighted_medians(begin, end, depth, image, low, high, window, tolerance, refined):
     """Replace depths near edges by the median of those around, weighted by how like their colours are.

@@ -27,6 +27,11 @@ LEAST_EDGE = 0.03
 LIKE_COLOUR = 0.06
 """Difference of colour, as displayed, at which a pixel's depth counts a quarter."""
 ROUNDS = 2
+SHARP = 0.5
+"""Share of the range of depths around a pixel that one step between neighbours has where edges are sharp already."""
+STEEP = 1.4
+"""Where depths around a pixel differ at most so many times as much in twice the width, there is a step between two
+surfaces; a slope goes on, and differs twice as much, or half as much again where it ends."""
 
 
 def inverse_depth(values: FloatArray, kind: DepthKind, shape: tuple[int, int]) -> tuple[FloatArray, float, float]:
@@ -97,6 +102,51 @@ def stretched(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return np.asarray(image.resize(shape[::-1], Image.Resampling.BILINEAR), np.float32)
 
 
+def sharpened(inverse: FloatArray, half: int) -> FloatArray:
+    """Return a depth map whose soft edges are steps: networks predict few pixels, and smooth ones.
+
+    Parameters
+    ----------
+    inverse : ndarray of shape (H, W), float32
+        From 0 to 1.
+    half : int
+        Px from the middle of an edge to where its ramp ends, at most.
+
+    Returns
+    -------
+    ndarray of shape (H, W), float32
+        Slopes, and edges that are sharp, stay as they are.
+    """
+    (low, high), (farther_low, farther_high) = _range(inverse, half), _range(inverse, 2 * half)
+    is_step = (high - low >= LEAST_EDGE) & (farther_high - farther_low <= STEEP * (high - low))
+    is_soft = _largest_step(inverse, half) < SHARP * (high - low)
+    high, found = np.where(is_step & is_soft, high, low), np.empty_like(inverse)
+    for_bands(_refine_kernels.end_ramps, len(found), inverse, low, high, _window(half), found)
+    return found
+
+
+def _range(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest values around each pixel."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    return minimum_filter(values, 2 * half + 1), maximum_filter(values, 2 * half + 1)
+
+
+def _largest_step(values: FloatArray, half: int) -> FloatArray:
+    """Return the largest difference of neighbours around each pixel."""
+    from scipy.ndimage import maximum_filter
+
+    step = np.zeros_like(values)
+    step[1:] = np.abs(np.diff(values, axis=0))
+    np.maximum(step[:, 1:], np.abs(np.diff(values, axis=1)), out=step[:, 1:])
+    return np.asarray(maximum_filter(step, 2 * half + 1), np.float32)
+
+
+def _window(half: int) -> tuple[int, int]:
+    """Return the half-width of what is looked at, and the step between the pixels that are."""
+    return half, max(1, -(-(2 * half + 1) // MOST_SAMPLES))
+
+
 def refined(inverse: FloatArray, image: FloatArray) -> FloatArray:
     """Return a depth map whose edges lie where the image's do.
 
@@ -113,17 +163,15 @@ def refined(inverse: FloatArray, image: FloatArray) -> FloatArray:
 
     Notes
     -----
-    A weighted median (Ma et al. 2013, "Constant time weighted median filtering for stereo matching and beyond"), near
-    the edges only: it makes no depths between two surfaces, as a mean would.
+    Soft edges are made steps first. Then a weighted median (Ma et al. 2013, "Constant time weighted median filtering
+    for stereo matching and beyond"), near the edges only: it makes no depths between two surfaces, as a mean would.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     half = max(LEAST_HALF, round(REFINE_SHARE * max(inverse.shape)))
-    window = half, max(1, -(-(2 * half + 1) // MOST_SAMPLES))
+    inverse = sharpened(inverse, 2 * half)
     for _ in range(ROUNDS):
-        low, high = (each(inverse, 2 * half + 1) for each in (minimum_filter, maximum_filter))
-        high = np.where(high - low < LEAST_EDGE, low, high)
-        found = np.empty_like(inverse)
-        for_bands(_refine_kernels.weighted_medians, len(found), inverse, image, low, high, window, LIKE_COLOUR, found)
+        low, high = _range(inverse, half)
+        high, found = np.where(high - low < LEAST_EDGE, low, high), np.empty_like(inverse)
+        given = inverse, image, low, high, _window(half), LIKE_COLOUR, found
+        for_bands(_refine_kernels.weighted_medians, len(found), *given)
         inverse = found
     return inverse

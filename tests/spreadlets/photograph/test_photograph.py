@@ -10,7 +10,7 @@ from scipy import ndimage
 import spreadlets as sp
 from spreadlets.cli import main as cli
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
-from spreadlets.photograph.depth_map import filled, inverse_depth, refined
+from spreadlets.photograph.depth_map import filled, inverse_depth, refined, sharpened
 from spreadlets.photograph.grain import grain_of
 from spreadlets.photograph.photograph import blurring_camera
 
@@ -87,6 +87,22 @@ def test_edges_of_the_depth_move_to_those_of_the_image():
     found = refined(sloppy, image)
     wrong = np.abs(found - NEAR) > 0.25
     assert wrong.sum() < 0.15 * (np.abs(sloppy - NEAR) > 0.25).sum()
+
+
+def test_soft_edges_of_the_depth_become_steps_where_they_were():
+    wires = np.zeros(SHAPE, bool)
+    wires[:, 60:69] = wires[20:29] = True
+    for thing in (NEAR, wires):
+        soft = ndimage.gaussian_filter(thing.astype(np.float32), 2.5)
+        found = sharpened(soft, 10)
+        wrong = np.abs(found - thing) > 0.25
+        assert wrong.sum() < 0.15 * (np.abs(soft - thing) > 0.25).sum()
+
+
+def test_slopes_and_sharp_edges_of_the_depth_stay():
+    slope = np.add.outer(np.linspace(0.0, 0.8, SHAPE[0]), np.zeros(SHAPE[1])).astype(np.float32)
+    for inverse in (slope, np.where(NEAR, np.float32(0.9), slope)):
+        np.testing.assert_array_equal(sharpened(inverse, 10), inverse)
 
 
 def test_clipped_light_shines_again():
