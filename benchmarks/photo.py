@@ -175,7 +175,8 @@ def slices_by_depth(image: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return slices of depth, each blurred with a disc by OpenCV, put over each other; negative radii are nearer."""
     borders = np.linspace(radius.min(), radius.max(), SLICES + 1)
     number = np.clip(np.digitize(radius, borders) - 1, 0, SLICES - 1)
-    found = image.astype(np.float32)
+    # Behind all is the picture, as blurred as what is farthest.
+    found = cv2.filter2D(image.astype(np.float32), -1, disc(abs(radius).max()), borderType=cv2.BORDER_REPLICATE)
     for each in range(SLICES - 1, -1, -1):
         inside = (number == each).astype(np.float32)[..., None]
         psf = disc(abs(borders[each] + borders[each + 1]) / 2)

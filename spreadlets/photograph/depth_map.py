@@ -20,6 +20,8 @@ ASPECT_TOLERANCE = 0.03
 REFINE_SHARE = 1 / 250
 """Half-width of what is looked at for a pixel's depth, as a share of the longer side; networks are that imprecise."""
 LEAST_HALF = 5
+EXACT_HALF = 8
+"""Up to this half-width, px, what lies around a pixel is found to the pixel; farther around, by blocks."""
 MOST_SAMPLES = 11
 """Pixels that are looked at along a side of it, at most."""
 LEAST_EDGE = 0.03
@@ -126,20 +128,28 @@ def sharpened(inverse: FloatArray, half: int) -> FloatArray:
 
 
 def _range(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest values around each pixel."""
-    from scipy.ndimage import maximum_filter, minimum_filter
+    """Return the least and the largest values around each pixel, see `_largest`."""
+    return -_largest(-values, half), _largest(values, half)
 
-    return minimum_filter(values, 2 * half + 1), maximum_filter(values, 2 * half + 1)
+
+def _largest(values: FloatArray, half: int) -> FloatArray:
+    """Return the largest values around each pixel, so many px to each side; where that is many, up to an eighth more."""
+    from scipy.ndimage import maximum_filter
+
+    side = max(1, half // EXACT_HALF)
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % side), (0, -width % side)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // side, side, -1, side).max(axis=1).max(axis=-1)
+    found = maximum_filter(blocks, 2 * -(-half // side) + 1)
+    return np.asarray(found.repeat(side, axis=0).repeat(side, axis=1)[:height, :width], np.float32)
 
 
 def _largest_step(values: FloatArray, half: int) -> FloatArray:
     """Return the largest difference of neighbours around each pixel."""
-    from scipy.ndimage import maximum_filter
-
     step = np.zeros_like(values)
     step[1:] = np.abs(np.diff(values, axis=0))
     np.maximum(step[:, 1:], np.abs(np.diff(values, axis=1)), out=step[:, 1:])
-    return np.asarray(maximum_filter(step, 2 * half + 1), np.float32)
+    return _largest(step, half)
 
 
 def _window(half: int) -> tuple[int, int]:
