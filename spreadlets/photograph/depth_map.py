@@ -133,7 +133,7 @@ def _range(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _largest(values: FloatArray, half: int) -> FloatArray:
-    """Return the largest values around each pixel, so many px to each side; where that is many, up to an eighth more."""
+    """Return the largest values around each pixel, so many px to each side; of many, up to an eighth more."""
     from scipy.ndimage import maximum_filter
 
     side = max(1, half // EXACT_HALF)
