@@ -59,7 +59,8 @@ def bokeh_model(*, moving: bool, kernel: str | None = None, **shape: Any) -> Mod
     """
     if kernel is not None:
         return Stylized(image=kernel)
-    return Combined(**shape) if moving else SimpleLens(**shape)
+    # With an aperture that differs from place to place, motion is drawn in steps.
+    return Combined(**shape) if moving and not shape.get("cats_eye_radial") else SimpleLens(**shape)
 
 
 class BokehCache:

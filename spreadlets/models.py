@@ -57,7 +57,8 @@ class SimpleLens(_Lens):
         Number of cells to aim at.
     max_coc : float, optional
         Largest radius of the circle of confusion, px.
-    blades, blade_curvature, rotation, cats_eye, cats_eye_angle, squeeze, spherical_aberration, obstruction
+    blades, blade_curvature, rotation, cats_eye, cats_eye_angle, cats_eye_radial, squeeze, spherical_aberration, \
+obstruction
         Shape of the aperture, see `precompute.models.aperture.Aperture`.
 
     Examples
@@ -73,6 +74,7 @@ class SimpleLens(_Lens):
     rotation: float | None = None
     cats_eye: float | None = None
     cats_eye_angle: float | None = None
+    cats_eye_radial: bool | None = None
     squeeze: float | None = None
     spherical_aberration: float | None = None
     obstruction: float | None = None
@@ -90,7 +92,7 @@ class Combined(SimpleLens):
         How far the shutter is open over time, see `precompute.models.aperture.read_settings`.
     samples, max_coc, blades, blade_curvature, rotation, cats_eye, cats_eye_angle, squeeze, spherical_aberration, \
 obstruction
-        As for `SimpleLens`.
+        As for `SimpleLens`. ``cats_eye_radial`` is refused: a cell knows the direction of the motion only.
 
     Examples
     --------

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -53,6 +53,10 @@ MIN_SQUEEZE = 0.25
 MAX_BLADES = 64
 
 
+Place = tuple[DoubleArray, DoubleArray]
+"""Places on the lens, (u, v)."""
+
+
 @dataclass(frozen=True)
 class Aperture:
     """The shape of an aperture behind focus, in units of the lens's radius, and what the lens does to it.
@@ -69,6 +73,9 @@ class Aperture:
         Distance of a second circle of the lens's radius, which clips the first, from its centre, radii; below 2.
     cats_eye_angle : float
         Direction of that circle, degrees, from x to y (y down).
+    cats_eye_radial : bool
+        Whether that circle's distance grows from the picture's middle, where it is 0, to its corners, and its
+        direction is that of the middle, as the front rim of a lens clips.
     squeeze : float
         Width over height of an anamorphic lens's PSF.
     spherical_aberration : float
@@ -82,6 +89,7 @@ class Aperture:
     rotation: float = 0.0
     cats_eye: float = 0.0
     cats_eye_angle: float = 0.0
+    cats_eye_radial: bool = False
     squeeze: float = 1.0
     spherical_aberration: float = 0.0
     obstruction: float = 0.0
@@ -94,6 +102,10 @@ class Aperture:
             "rotation": (math.isfinite(self.rotation), "finite degrees"),
             "cats_eye": (0.0 <= self.cats_eye < 2.0, "0 to below 2 radii, where no light is left"),
             "cats_eye_angle": (math.isfinite(self.cats_eye_angle), "finite degrees"),
+            "cats_eye_radial": (
+                not self.cats_eye_radial or (self.cats_eye > 0.0 and not self.cats_eye_angle),
+                "True with a cats_eye above 0 and without a cats_eye_angle",
+            ),
             "squeeze": (MIN_SQUEEZE <= self.squeeze <= 1.0, f"{MIN_SQUEEZE} to 1"),
             "spherical_aberration": (
                 abs(self.spherical_aberration) <= MAX_SPHERICAL,
@@ -119,19 +131,25 @@ class Aperture:
         """Whether half a turn leaves the aperture as it is."""
         return self.is_round or (not self.cats_eye and self.blades % 2 == 0)
 
-    def clearance(self, u: DoubleArray, v: DoubleArray) -> DoubleArray:
-        """Return a function of places on the lens that is above 0 where light passes and 0 at the aperture's edge."""
+    def clearance(self, u: DoubleArray, v: DoubleArray, eye: Place | None = None) -> DoubleArray:
+        """Return a function of places on the lens that is above 0 where light passes and 0 at the aperture's edge.
+
+        ``eye`` is where the clipping circle lies, by default as in the picture's corner at the right, if that counts.
+        """
         radius = np.hypot(u, v)
         room = 1.0 - radius**2
         if self.blades:
             room = np.minimum(room, 1.0 - self._share_of_edge(u, v, radius))
         if self.cats_eye:
-            angle = math.radians(self.cats_eye_angle)
-            x, y = u - self.cats_eye * math.cos(angle), v - self.cats_eye * math.sin(angle)
-            room = np.minimum(room, 1.0 - x**2 - y**2)
+            at = self.eye(math.radians(self.cats_eye_angle), 1.0) if eye is None else eye
+            room = np.minimum(room, 1.0 - (u - at[0]) ** 2 - (v - at[1]) ** 2)
         if self.obstruction:
             room = np.minimum(room, radius**2 - self.obstruction**2)
         return np.asarray(room)
+
+    def eye(self, angle: float | DoubleArray, share: float | DoubleArray) -> Place:
+        """Return where the clipping circle lies: in a direction, radians, at a share of its distance."""
+        return np.asarray(self.cats_eye * share * np.cos(angle)), np.asarray(self.cats_eye * share * np.sin(angle))
 
     def _share_of_edge(self, u: DoubleArray, v: DoubleArray, radius: DoubleArray) -> DoubleArray:
         """Return how far places lie towards the blades' edge, 1 at the edge."""
@@ -175,6 +193,9 @@ def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[st
     sign = "stored" if aperture.spherical_aberration else "ignored" if aperture.is_point_symmetric else "turned"
     arrow = curve is not None and curve != curve[::-1]
     symmetry = {"arrow": arrow, "lattice": aperture.is_round, "sign": sign}
+    if aperture.cats_eye_radial:
+        middle = replace(aperture, cats_eye=0.0, cats_eye_radial=False)
+        symmetry = {"heading": "azimuth", "arrow": True, "lattice": middle.is_round, "sign": sign}
     return {"aperture": asdict(aperture), "shutter_curve": curve, "symmetry": symmetry}
 
 
@@ -196,24 +217,27 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     """
     aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
     curve = model.settings["shutter_curve"]
-    moves = model.has_direction
+    moves, radial = model.has_motion, aperture.cats_eye_radial
     straight = not aperture.spherical_aberration and not (moves and curve)
 
     def trace(points: DoubleArray, box: DoubleArray, angle: float, angle_half_width: float) -> Segments:
-        # Sample the CoC radius, and the path's direction and length.
+        # Sample the CoC radius, and length and direction of the path, or of the place in the picture.
         radius = tent(points[:, 1], *box[0])
-        heading, path = np.full(len(points), LINE_ANGLE), np.zeros(len(points))
-        if moves:
-            heading = tent(points[:, 3], angle - angle_half_width, angle + angle_half_width)
-            path = tent(points[:, 2], *box[1])
+        heading, path, eye = np.full(len(points), LINE_ANGLE), np.zeros(len(points)), None
+        if model.has_direction:
+            direction = tent(points[:, 3], angle - angle_half_width, angle + angle_half_width)
+            length = tent(points[:, 2], *box[1])
+            if moves:
+                heading, path = direction, length
+            else:
+                eye = aperture.eye(direction[:, None] + math.pi, length[:, None])
         if straight:
-            return _straight_chords(aperture, points[:, 0], radius * side, path, heading)
+            return _straight_chords(aperture, points[:, 0], radius * side, path, heading, eye)
         times = shutter_times(points[:, 4], curve) if moves else np.zeros(len(points))
-        return _curved_chords(
-            aperture, points[:, 0], radius, side, (path * times, heading), angle if moves else LINE_ANGLE
-        )
+        moved = path * times, heading
+        return _curved_chords(aperture, points[:, 0], radius, side, moved, angle if moves else LINE_ANGLE, eye)
 
-    n_dimensions = (4 if straight else 5) if moves else 2
+    n_dimensions = 5 if moves and not straight else 4 if moves or radial else 2
     return Tracer(
         n_dimensions,
         trace,
@@ -226,7 +250,12 @@ def tracer(model: PsfModel, side: int) -> Tracer:
 
 
 def _straight_chords(
-    aperture: Aperture, u: DoubleArray, radius: DoubleArray, path: DoubleArray, heading: DoubleArray
+    aperture: Aperture,
+    u: DoubleArray,
+    radius: DoubleArray,
+    path: DoubleArray,
+    heading: DoubleArray,
+    eye: Place | None = None,
 ) -> Segments:
     """Move the images of lines across the aperture along themselves, each integrated over line and path.
 
@@ -238,6 +267,8 @@ def _straight_chords(
         Of the circle of confusion, px, negative in front of the focus.
     path, heading : ndarray of shape (n,), float64
         Length, px, and direction, radians, of the path.
+    eye : tuple of two ndarrays of shape (n, 1), float64, or None
+        Where the clipping circle lies, see `Aperture.clearance`.
     """
     # A line whose image has the path's direction: a squeezed lens turns and shortens it.
     cos, sin = np.cos(heading) / aperture.squeeze, np.sin(heading)
@@ -246,7 +277,7 @@ def _straight_chords(
     # Find where light passes along it.
     across, along = 2.0 * u - 1.0, np.linspace(-1.0, 1.0, N_NODES)
     places = (along * cos[:, None] - (across * sin)[:, None], along * sin[:, None] + (across * cos)[:, None])
-    line, begin, end = lit_parts(aperture.clearance(*places))
+    line, begin, end = lit_parts(aperture.clearance(*places, eye))
     # Move the image of each lit part.
     middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
     cos, sin, across, radius, stretch = (each[line] for each in (cos, sin, across, radius, stretch))
@@ -261,6 +292,7 @@ def _curved_chords(
     side: int,
     moved: tuple[DoubleArray, DoubleArray],
     angle: float,
+    eye: Place | None = None,
 ) -> Segments:
     """Place the images of lines across the aperture, node by node, each at one time: moved by a length in a direction.
 
@@ -272,13 +304,15 @@ def _curved_chords(
         Length, px, and direction, radians.
     angle : float
         Direction of the lines.
+    eye : tuple of two ndarrays of shape (n, 1), float64, or None
+        As for `_straight_chords`.
     """
     along, across = np.linspace(-1.0, 1.0, N_NODES)[None, :], 2.0 * u[:, None] - 1.0
     places = (along * math.cos(angle) - across * math.sin(angle), along * math.sin(angle) + across * math.cos(angle))
     x, y = (radius[:, None] * part for part in aperture.image(*places, side))
     way, heading = (each[:, None] for each in moved)
     x, y = x + way * np.cos(heading), y + way * np.sin(heading)
-    return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(*places))
+    return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(*places, eye))
 
 
 @lru_cache(maxsize=16)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.precompute.models import aperture
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, lens_chords, point_symmetric, tent
 
@@ -15,6 +16,11 @@ N_DIMENSIONS = 4
 
 def read_settings(*, shutter_curve: Sequence[float] | str | None = None, **shape: Any) -> dict[str, Any]:
     """Return the settings of an aperture, see `precompute.models.aperture.read_settings`."""
+    if shape.get("cats_eye_radial"):
+        raise InvalidParameterError(
+            f"{option('cats_eye_radial')}: the directions of 'combined' are those of motion; build 'simplelens', with "
+            "which motion is drawn in steps"
+        )
     return aperture.read_settings(shutter_curve, shape)
 
 

@@ -47,6 +47,8 @@ class View(NamedTuple):
         Focal length in pixels: a pixel at this distance from the image's centre is seen at 45 degrees.
     sensor_mm_per_px : float
         Size of a pixel on the sensor.
+    half_diagonal_px : float
+        From the picture's centre to its corners.
     centre : tuple of float
         From the frame's middle to the picture's centre, (x, y), px: the frame may reach beyond what is displayed.
     places : Places or None
@@ -56,6 +58,7 @@ class View(NamedTuple):
     depth: FloatArray
     focal_length_px: float
     sensor_mm_per_px: float
+    half_diagonal_px: float = 1.0
     centre: tuple[float, float] = (0.0, 0.0)
     places: Places | None = None
 
@@ -105,7 +108,8 @@ class View(NamedTuple):
 def camera_view(depth: FloatArray, raster: Raster, camera: ThinLens) -> View:
     """Return how the camera sees pixels, whose display window's width is the sensor's."""
     mm_per_px = camera.sensor_width_mm / raster.display.width
-    return View(depth, camera.focal_length_mm / mm_per_px, mm_per_px, raster.off_middle)
+    half_diagonal = 0.5 * math.hypot(*raster.display.shape)
+    return View(depth, camera.focal_length_mm / mm_per_px, mm_per_px, half_diagonal, raster.off_middle)
 
 
 class Labels(NamedTuple):
@@ -159,12 +163,18 @@ def _sensor_height(labels: Labels) -> FloatArray:
     return np.hypot(place[..., 0], place[..., 1]) * np.float32(labels.view.sensor_mm_per_px)
 
 
+def _field(labels: Labels) -> FloatArray:
+    place = labels.view.block_position()
+    return np.hypot(place[..., 0], place[..., 1]) / np.float32(labels.view.half_diagonal_px)
+
+
 COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
     "coc": _radius,
     "motion": _path_length,
     "depth": _radius,
     "distance": _distance,
     "eccentricity": _sensor_height,
+    "field": _field,
 }
 """The coordinate (H, W) on each axis, by its name, in the axis's unit; its sign has no meaning."""
 
@@ -216,7 +226,7 @@ def illumination(model: PsfModel, raster: Raster, sensor_width_mm: float) -> Flo
             f"the database of the model {model.name!r} knows no vignetting; build one of 'physicallens'"
         )
     mm_per_px = sensor_width_mm / raster.display.width
-    view = View(np.zeros(raster.data.shape, np.float32), 1.0, mm_per_px, raster.off_middle)
+    view = View(np.zeros(raster.data.shape, np.float32), 1.0, mm_per_px, centre=raster.off_middle)
     known = np.linspace(0.0, model.settings["max_eccentricity_mm"], len(shares))
     return np.asarray(np.interp(view.image_height() * mm_per_px, known, shares), np.float32)
 

@@ -25,7 +25,7 @@ from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.remembered import Remembered
-from spreadlets.runtime.label.labels import HEADINGS
+from spreadlets.runtime.label.labels import HEADINGS, View
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels
@@ -133,7 +133,7 @@ def find_highlights(
     alone = _from_sources(pixel_sets, keys, codes, lights)
     used, number = _numbered(alone, [key.shape for key in keys])
     view = pixel_sets[0].labels.view
-    coordinates = _coordinates(used, model, view.frame_shape[1], view.sensor_mm_per_px)
+    coordinates = _coordinates(used, model, view)
     return Highlights(number, [at for at, _ in alone], list(exact_psf(*coordinates)) if len(used) else [])
 
 
@@ -323,15 +323,14 @@ def _numbered(
     return used, numbers
 
 
-def _coordinates(
-    codes: IntArray, model: PsfModel, width: int, mm_per_px: float
-) -> tuple[DoubleArray, DoubleArray, IntArray]:
+def _coordinates(codes: IntArray, model: PsfModel, view: View) -> tuple[DoubleArray, DoubleArray, IntArray]:
     """Return the coordinates (n, n_axes), directions (n,) and sides (n,) that codes stand for."""
     rest, mask = codes >> 2 * HEADING_BITS, (1 << HEADING_BITS) - 1
     radius = ((rest >> 1) / RADIUS_STEPS) ** 2
-    step = heading_steps(radius, longest_step(model, width))
+    step = heading_steps(radius, longest_step(model, view.frame_shape[1]))
     x, y = (((codes >> bits & mask) - HEADING_ZERO) * step for bits in (HEADING_BITS, 0))
     heading = np.hypot(x, y)
-    known = {"coc": radius, "depth": radius, "motion": heading, "eccentricity": heading * mm_per_px}
+    known = {"coc": radius, "depth": radius, "motion": heading}
+    known |= {"eccentricity": heading * view.sensor_mm_per_px, "field": heading / view.half_diagonal_px}
     coordinate = np.stack([known[axis.name] for axis in model.axes], axis=-1)
     return coordinate, np.arctan2(y, x), np.where(rest & 1, -1, 1).astype(np.int64)

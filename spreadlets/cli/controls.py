@@ -62,7 +62,8 @@ control_options = cloup.option_group(
 """What an artist changes."""
 
 BOKEH_NAMES = (
-    "kernel blades blade_curvature rotation cats_eye cats_eye_angle squeeze spherical_aberration obstruction".split()
+    "kernel blades blade_curvature rotation cats_eye cats_eye_angle cats_eye_radial squeeze"
+    " spherical_aberration obstruction".split()
 )
 
 bokeh_options = cloup.option_group(
@@ -72,6 +73,7 @@ bokeh_options = cloup.option_group(
     cloup.option("--rotation", type=float, help="... of the blades, degrees."),
     cloup.option("--cats-eye", type=float, help="Distance of a second, clipping circle, radii."),
     cloup.option("--cats-eye-angle", type=float, help="... its direction, degrees."),
+    cloup.option("--cats-eye-radial", is_flag=True, default=None, help="... growing from the middle to the corners."),
     cloup.option("--squeeze", type=float, help="Width over height of an anamorphic PSF."),
     cloup.option("--spherical-aberration", type=float, help="Above 0: dark rim behind focus, bright in front."),
     cloup.option("--obstruction", type=float, help="Radius of a central obstruction, radii."),

@@ -39,6 +39,7 @@ _DEFAULT = click.core.ParameterSource.DEFAULT
 @cloup.option("--rotation", type=float, help="... of the blades, degrees.")
 @cloup.option("--cats-eye", type=float, help="... distance of a second, clipping circle, radii.")
 @cloup.option("--cats-eye-angle", type=float, help="... its direction, degrees.")
+@cloup.option("--cats-eye-radial", is_flag=True, default=None, help="... growing from the middle to the corners.")
 @cloup.option("--squeeze", type=float, help="... width over height of an anamorphic PSF.")
 @cloup.option("--spherical-aberration", type=float, help="... above 0: dark rim behind focus, bright in front.")
 @cloup.option("--obstruction", type=float, help="... radius of a central obstruction, radii.")

@@ -82,7 +82,7 @@ def rounded(
     made[:, 0] = (np.floor(RADIUS_STEPS * np.sqrt(coordinate[:, 0]) + 0.5) / RADIUS_STEPS) ** 2
     if not model.has_direction:
         return made, np.zeros_like(angle), side
-    view = model.settings.get("view", {"width_px": 1, "sensor_width_mm": 1.0})
+    view = model.settings.get("view", {"width_px": PLACES_ACROSS, "sensor_width_mm": 2.0})
     unit = 1.0 if model.has_motion else view["sensor_width_mm"] / view["width_px"]
     step = heading_steps(made[:, 0], longest_step(model, view["width_px"]))
     heading = coordinate[:, -1] / unit * np.stack([np.cos(angle), np.sin(angle)])

@@ -15,6 +15,9 @@ from spreadlets.scene.camera import ThinLens
 
 DEGREES_PER_FRAME = 360.0
 OVERLAYS = ("none", "coc", "depth")
+EVERYWHERE, IN_CORNERS = "everywhere", "corners"
+CHOICES: Mapping[str, tuple[str, ...]] = {"overlay": OVERLAYS, "cats_eye_at": (EVERYWHERE, IN_CORNERS)}
+"""What may be chosen of each setting that is no number."""
 
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "f_number": (1e-3, 1e3),
@@ -58,6 +61,8 @@ class Settings:
         Depth layers; 0 as many as the frame needs.
     near_strength, far_strength, max_coc, gain, threshold, near, far : float
         See `spreadlets.runtime.controls.Controls`; 0 is off for the largest CoC and for ``far``.
+    cats_eye_at : str
+        Whether the cat's eye is the same everywhere, or grows to what it is in the corners.
     overlay : str
         One of `OVERLAYS`.
     """
@@ -80,6 +85,7 @@ class Settings:
     threshold: float = 1.0
     near: float = 0.0
     far: float = 0.0
+    cats_eye_at: str = EVERYWHERE
     overlay: str = "none"
 
     @classmethod
@@ -99,9 +105,9 @@ class Settings:
         """
         numbers: dict[str, Any] = {}
         for name, value in given.items():
-            if name == "overlay":
-                if value not in OVERLAYS:
-                    raise InvalidParameterError(f"overlay is {value!r}: allowed are {', '.join(OVERLAYS)}")
+            if name in CHOICES:
+                if value not in CHOICES[name]:
+                    raise InvalidParameterError(f"{name} is {value!r}: allowed are {', '.join(CHOICES[name])}")
                 numbers[name] = value
             elif name in BOUNDS:
                 numbers[name] = checked(name, value, *BOUNDS[name])
@@ -144,6 +150,8 @@ class Settings:
         found: dict[str, Any] = {name: value for name, value in given.items() if value}
         if not self.blades:
             found.pop("rotation", None)
+        if self.cats_eye and self.cats_eye_at == IN_CORNERS:
+            found["cats_eye_radial"] = True
         return found | ({"squeeze": self.squeeze} if self.squeeze != 1.0 else {})
 
     def model(self, *, moving: bool) -> Model | None:
@@ -164,8 +172,10 @@ class Settings:
         words += ["--f-number", f"{self.f_number:.6g}", "--focal-length", f"{self.focal_length:.6g}"]
         words += ["--focus", f"{self.focus:.6g}", "--shutter", f"{own.shutter[0]:.6g},{own.shutter[1]:.6g}"]
         for name, value in (self.options() | self.shape()).items():
-            text = ",".join(f"{each:.6g}" for each in value) if isinstance(value, tuple) else value
-            words += ["--" + name.replace("_", "-"), f"{text:.6g}" if isinstance(text, float) else str(text)]
+            words.append("--" + name.replace("_", "-"))
+            if value is not True:
+                text = ",".join(f"{each:.6g}" for each in value) if isinstance(value, tuple) else value
+                words.append(f"{text:.6g}" if isinstance(text, float) else str(text))
         return shlex.join(words)
 
 

@@ -108,3 +108,31 @@ def test_an_image_may_be_the_psf(cache, frame, tmp_path):
 def test_impossible_apertures_are_refused(cache, frame):
     with pytest.raises(InvalidParameterError, match="blades is 2"):
         sp.synthesize(frame, CAMERA, sp.models.SimpleLens(blades=2))
+
+
+def centroid(image, at, reach=12):
+    """Return where the light around a place (row, col) lies from it, (x, y), px."""
+    rows, cols = (slice(each - reach, each + reach + 1) for each in at)
+    light = image[rows, cols, 0] - 0.2
+    ticks = np.arange(-reach, reach + 1)
+    return np.array([light.sum(axis=0) @ ticks, light.sum(axis=1) @ ticks]) / light.sum()
+
+
+@pytest.mark.parametrize(("depth", "side"), [(4.0, 1.0), (1.4, -1.0)])
+def test_a_radial_cats_eye_grows_towards_the_corners_in_motion_too(cache, depth, side):
+    shape, lamps = (96, 128), ((48, 64), (48, 20), (48, 107), (16, 20))
+    radiance = np.full((*shape, 3), 0.2, np.float32)
+    for at in lamps:
+        radiance[at] = 60.0
+    camera = replace(CAMERA, f_number=0.4, shutter=(-0.5, 0.5))
+    assert 5.0 < abs(camera.coc_radius(np.array([depth]), 128)[0]) < 9.0
+    still = np.zeros((*shape, 2), np.float32)
+    model = bokeh.bokeh_model(moving=True, cats_eye=1.2, cats_eye_radial=True)
+    assert isinstance(model, sp.models.SimpleLens) and not isinstance(model, sp.models.Combined)
+    for motion in (still, still + np.array([3.0, 0.0], np.float32)):
+        image = sp.synthesize(sp.Frame(radiance, np.full(shape, depth), motion), camera, model)
+        middle, left, right, corner = (centroid(image, at) for at in lamps)
+        # Behind the focus the middle's side stays, in front of it the other.
+        assert np.abs(middle).max() < 0.3
+        assert left[0] * side > 0.8 and abs(left[1]) < 0.3 and right[0] * side < -0.8
+        assert corner[0] * side > 0.8 and corner[1] * side > 0.6

@@ -87,6 +87,44 @@ def test_aperture_is_that_of_the_supersampled_drawing(name, side):
 
 
 @compiled
+@pytest.mark.parametrize("extra", [{}, {"blades": 5, "rotation": 20.0}, {"spherical_aberration": 0.3}])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_radial_cats_eye_closes_towards_the_corners_on_the_side_of_the_middle(extra, side):
+    model = make("simplelens", cats_eye=0.9, cats_eye_radial=True, **extra)
+    psf = trace_psf(model, [[RADIUS, RADIUS], [0.6, 0.6]], angle=0.5, side=side)
+    shape = {"cats_eye": 0.9 * 0.6, "cats_eye_angle": np.degrees(0.5) + 180.0, **extra}
+    assert relative_l1(psf, drawn(shape, RADIUS, side=side)) < L1_BUDGET
+
+
+def spread(psf):
+    """Return mean and deviation of a PSF's light along x, then along y, px."""
+    found = []
+    for axis in (0, 1):
+        light = psf.sum(axis=(axis, 2)) / psf.sum()
+        place = np.arange(len(light)) - len(light) // 2
+        found += [light @ place, np.sqrt(light @ place**2 - (light @ place) ** 2)]
+    return found
+
+
+@compiled
+def test_a_radial_cats_eye_lies_as_that_of_real_glass():
+    glass = get_model("physicallens", max_coc=16.0, settings=model_settings("physicallens", {"width": 256}))
+    eye = make("simplelens", cats_eye=0.9, cats_eye_radial=True)
+    for model, place in ((glass, [17, 18]), (eye, [0.8, 0.8])):
+        middle, along, _, across = spread(trace_psf(model, [[10, 11], place], rays=1_000_000))
+        assert middle < -0.5 and along < 0.85 * across
+
+
+def test_a_radial_cats_eye_has_no_direction_of_its_own_and_no_motion():
+    with pytest.raises(InvalidParameterError, match="without a cats_eye_angle"):
+        model_settings("simplelens", {"cats_eye": 0.5, "cats_eye_angle": 30.0, "cats_eye_radial": True})
+    with pytest.raises(InvalidParameterError, match="cats_eye above 0"):
+        model_settings("simplelens", {"cats_eye_radial": True})
+    with pytest.raises(InvalidParameterError, match="build 'simplelens'"):
+        model_settings("combined", {"cats_eye": 0.5, "cats_eye_radial": True})
+
+
+@compiled
 @pytest.mark.parametrize("name", SHAPES)
 def test_aperture_in_motion_is_that_of_the_supersampled_drawing(name):
     psf = trace_psf(make("combined", **SHAPES[name]), [[9.0, 9.0], [20.0, 20.0]], angle=0.5)

@@ -190,7 +190,7 @@ def beyond(members, number, moments=SHARP, alpha=1.0, weight=NOTHING):
 def pixels_of(radiance, weight, places=None):
     nothing = np.zeros(radiance.shape[:2], np.float32)
     labels = Labels(
-        nothing, np.zeros((*nothing.shape, 2), np.float32), nothing, None, View(nothing, 1, 1, (0, 0), places)
+        nothing, np.zeros((*nothing.shape, 2), np.float32), nothing, None, View(nothing, 1, 1, places=places)
     )
     return Pixels(radiance, labels, weight)
 

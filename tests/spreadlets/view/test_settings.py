@@ -48,6 +48,10 @@ def test_each_setting_reaches_the_camera_the_options_or_the_aperture():
     shape = {"blades": 6, "rotation": 20.0, "cats_eye": 0.7, "squeeze": 0.5}
     assert settings(**shape).model(moving=True) == sp.models.Combined(**shape)
     assert settings(blades=5).model(moving=False) == sp.models.SimpleLens(blades=5)
+    eye = settings(cats_eye=0.7, cats_eye_at="corners")
+    assert eye.model(moving=True) == sp.models.SimpleLens(cats_eye=0.7, cats_eye_radial=True)
+    assert "--cats-eye 0.7 --cats-eye-radial" in eye.command_line(["frame.exr"], None, CAMERA)
+    assert settings(cats_eye_at="corners").model(moving=True) is None
 
 
 def test_exposure_and_overlay_change_no_rendering():
@@ -64,6 +68,7 @@ def test_exposure_and_overlay_change_no_rendering():
         {"focus": float("nan")},
         {"focus": float("inf")},
         {"overlay": "evil"},
+        {"cats_eye_at": "moon"},
         {"kernel": "/etc/passwd"},
         {"shutter_curve": 1},
     ],
