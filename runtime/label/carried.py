@@ -105,7 +105,7 @@ def _largest(layer: Layer, values: DoubleArray) -> float:
 
 def _course(layer: Layer, camera: ThinLens) -> Course:
     """Return how the pixels of a layer go, fitted to where they are at the camera's keys."""
-    begin = View(layer.depth, 1.0, 1.0, layer.raster.off_middle).position().astype(np.float64)
+    begin = View(layer.depth, 1.0, 1.0, centre=layer.raster.off_middle).position().astype(np.float64)
     nearness = 1.0 / layer.depth.astype(np.float64)
     places, depths = [np.zeros_like(begin), np.zeros_like(begin)], [np.zeros_like(nearness), np.zeros_like(nearness)]
     times = _times(camera)

@@ -165,7 +165,7 @@ def _sensor_height(labels: Labels) -> FloatArray:
 
 def _field(labels: Labels) -> FloatArray:
     place = labels.view.block_position()
-    return np.hypot(place[..., 0], place[..., 1]) / np.float32(labels.view.half_diagonal_px)
+    return np.asarray(np.hypot(place[..., 0], place[..., 1]) / np.float32(labels.view.half_diagonal_px), np.float32)
 
 
 COORDINATES: dict[str, Callable[[Labels], FloatArray]] = {
