@@ -43,6 +43,12 @@ N_NODES = 65
 N_TIMES = 4097
 """Nodes of the shutter's distribution function."""
 
+DRAWN_FINER, DRAWN_ACROSS = 8, 320
+"""Places along a pixel at which a drawn aperture is looked at, at least, and along all of it."""
+
+LEAST_DRAWN_PX = 0.1
+"""Smaller radii lie in one pixel just as well."""
+
 STRAIGHT_RAYS_PER_PIXEL = 256
 """Deposits for each pixel of a PSF whose lines are integrated along themselves and their path: less noise is left."""
 
@@ -247,6 +253,43 @@ def tracer(model: PsfModel, side: int) -> Tracer:
         rays_per_pixel=STRAIGHT_RAYS_PER_PIXEL if straight else RAYS_PER_PIXEL,
         generators=GENERATORS[: n_dimensions - 1],
     )
+
+
+def is_drawn(model: PsfModel) -> bool:
+    """Return whether `drawn_psf` makes the PSFs of a model at single coordinates."""
+    return not model.has_motion and not model.settings["aperture"]["spherical_aberration"]
+
+
+def drawn_psf(model: PsfModel, coordinate: Sequence[float], angle: float, side: int) -> DoubleArray:
+    """Draw the PSF of a single coordinate: the aperture, anti-aliased, as wide as the circle of confusion.
+
+    Parameters
+    ----------
+    model : PsfModel
+        One that `is_drawn`.
+    coordinate : sequence of floats
+        Radius of the circle of confusion, px, and, if it counts, the place in the picture.
+    angle : float
+        Direction of that place, radians.
+    side : int
+        1 behind the focus, -1 in front of it.
+
+    Returns
+    -------
+    ndarray of shape (n, n, 1), float64
+        Centred; of sum 1.
+    """
+    aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
+    radius, field = max(coordinate[0], LEAST_DRAWN_PX), coordinate[1:]
+    half = math.ceil(radius) + 1
+    # Look at places on the lens, several for each pixel along both axes.
+    size = 2 * half + 1
+    finer = max(DRAWN_FINER, DRAWN_ACROSS // size)
+    ticks = ((np.arange(size * finer) + 0.5) / finer - half - 0.5) * side / radius
+    eye = aperture.eye(angle + math.pi, field[0]) if field else None
+    lit = aperture.clearance(*np.meshgrid(ticks / aperture.squeeze, ticks), eye) > 0.0
+    psf = lit.reshape(size, finer, size, finer).mean(axis=(1, 3))
+    return np.asarray((psf / psf.sum())[..., None])
 
 
 def _straight_chords(

@@ -52,8 +52,10 @@ def _thin_lens(own: Tracer) -> Callable[[PsfModel, int], Tracer]:
 
 
 def _exact_thin_lens(model: PsfModel) -> ExactPsf:
-    """Return the PSFs of a thin lens: in closed form, or traced if its aperture or shutter has a shape of its own."""
-    return CachedPsfs(partial(_traced_exactly, model)) if model.settings else exact_capsules
+    """Return the PSFs of a thin lens: in closed form; or, of an aperture of its own, drawn, or traced in motion."""
+    if not model.settings:
+        return exact_capsules
+    return CachedPsfs(partial(aperture.drawn_psf if aperture.is_drawn(model) else _traced_exactly, model))
 
 
 def _traced_exactly(model: PsfModel, coordinate: tuple[float, ...], angle: float, side: int) -> DoubleArray:

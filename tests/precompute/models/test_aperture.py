@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.models.aperture import Aperture, shutter_times
+from spreadlets.precompute.models.aperture import Aperture, drawn_psf, is_drawn, shutter_times
 from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.trace.line_sample import lit_parts
@@ -84,6 +84,26 @@ def make(name, **options):
 def test_aperture_is_that_of_the_supersampled_drawing(name, side):
     psf = trace_psf(make("simplelens", **SHAPES[name]), [[RADIUS, RADIUS]], side=side)
     assert relative_l1(psf, drawn(SHAPES[name], RADIUS, side=side)) < L1_BUDGET
+
+
+@pytest.mark.parametrize("radius", [3.0, RADIUS])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("name", [name for name in SHAPES if "rim" not in name and name != "all"])
+def test_the_psf_of_a_single_coordinate_is_that_of_the_supersampled_drawing(name, side, radius):
+    model = make("simplelens", **SHAPES[name])
+    assert is_drawn(model)
+    assert relative_l1(drawn_psf(model, (radius,), 0.0, side), drawn(SHAPES[name], radius, side=side)) < L1_BUDGET
+
+
+def test_what_is_in_focus_is_drawn_in_one_pixel():
+    psf = drawn_psf(make("simplelens", blades=5), (0.0,), 0.0, 1)
+    assert psf.sum() == pytest.approx(1.0) and psf.max() == pytest.approx(1.0)
+
+
+def test_a_radial_cats_eye_of_a_single_coordinate_is_that_of_the_supersampled_drawing():
+    psf = drawn_psf(make("simplelens", cats_eye=0.9, cats_eye_radial=True), (RADIUS, 0.6), 0.5, 1)
+    shape = {"cats_eye": 0.9 * 0.6, "cats_eye_angle": np.degrees(0.5) + 180.0}
+    assert relative_l1(psf, drawn(shape, RADIUS)) < L1_BUDGET
 
 
 @compiled
