@@ -88,6 +88,7 @@ def createInstance(app, group):
     text(group, page, "o_rotation", "rotation", "... of the blades, degrees.")
     text(group, page, "o_cats_eye", "cats eye", "Distance of a second, clipping circle, radii.")
     text(group, page, "o_cats_eye_angle", "cats eye angle", "... its direction, degrees.")
+    check(group, page, "o_cats_eye_radial", "cats eye radial", "... growing from the middle to the corners.")
     text(group, page, "o_squeeze", "squeeze", "Width over height of an anamorphic PSF.")
     text(group, page, "o_spherical_aberration", "spherical aberration", "Above 0: dark rim behind focus, bright in front.")
     text(group, page, "o_obstruction", "obstruction", "Radius of a central obstruction, radii.")

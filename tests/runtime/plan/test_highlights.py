@@ -7,6 +7,7 @@ from naive.psfs import capsule_psf, disc_coverage
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.metrics import psf_similarity
 from spreadlets.psf import exact
+from spreadlets.runtime.label.labels import View
 from spreadlets.runtime.plan import _highlight_kernels, highlights
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -200,7 +201,7 @@ def test_a_highlight_has_the_coordinate_that_the_figures_of_a_build_are_of(small
     light = np.full((1, n), np.inf, np.float32)
     steps = _highlight_kernels.CodeSteps(exact.RADIUS_STEPS, exact.longest_step(model, 1), exact.THIN_RADIUS_PX, False)
     _highlight_kernels.highlight_codes(0, 1, np.ones((1, n), np.int64), light, labels, steps, (0.0, np.inf), code)
-    drawn = highlights._coordinates(code[0], model, 1, 1.0)
+    drawn = highlights._coordinates(code[0], model, View(np.zeros((1, 1), np.float32), 1.0, 1.0))
     said = exact.rounded(np.stack([radius, length], axis=1), angle, np.ones(n, np.int64), model)
     for one, other in zip(drawn, said, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
