@@ -106,6 +106,21 @@ def aperture_picture() -> None:
     save("apertures", rows)
 
 
+def radial_picture() -> None:
+    """Show lamps behind and in front of the focus through a cat's eye that grows towards the corners."""
+    camera = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.5, focus_distance_m=2.0)
+    light = np.full((256, 384, 3), 0.003, np.float32)
+    light[20::36, 24::48] = 60.0
+    shown = []
+    for depth in (20.0, 0.95):
+        frame = sp.Frame(light, np.full(light.shape[:2], depth, np.float32))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = sp.synthesize(frame, camera, sp.models.SimpleLens(cats_eye=0.9, cats_eye_radial=True))
+        shown.append(display_encode(image[..., :3]))
+    save("radial", [shown])
+
+
 def frame_picture(name: str, scene: Scene, path: Path) -> None:
     """Show the frame as a model blurs it."""
     frame, camera = scene.pinhole, scene.camera
@@ -132,6 +147,7 @@ def main() -> None:
     whole = coins.folders == (given,)
     FOLDER.mkdir(exist_ok=True)
     aperture_picture()
+    radial_picture()
     for name in (*PLACES, "physicallens"):
         database_picture(name)
         picture = f"{name}_frame.png"

@@ -75,6 +75,37 @@ def place_range(begin, end, place, low, high):
 
 
 @kernel
+def count_alone(begin, end, place, gap, step, counts):
+    """Count the pixels of which no neighbour shows the same surface.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    gap : float
+        Difference of places that parts two surfaces.
+    step : int
+        Rows and columns from one pixel that is looked at to the next.
+    counts : ndarray of shape (n, 2), int64
+        Filled for each such row: pixels, and those of them that are alone. What is infinitely far counts for neither.
+    """
+    height, width = place.shape
+    for number in range(begin, end):
+        counts[number] = 0
+        row = number * step
+        for col in range(0, width, step):
+            here, nearest = place[row, col], np.float32(np.inf)
+            if here == np.inf:
+                continue
+            for i in range(max(row - 1, 0), min(row + 2, height)):
+                for j in range(max(col - 1, 0), min(col + 2, width)):
+                    if i != row or j != col:
+                        nearest = min(nearest, abs(place[i, j] - here))
+            counts[number, 0] += 1
+            counts[number, 1] += nearest >= gap
+
+
+@kernel
 def weigh_pixels(begin, end, place, point, gap, radiance, wanted, weights):
     """Find how pure the pixels of some tiles are, how much each counts for its surface's colour, and how bright it is.
 

@@ -26,6 +26,9 @@ SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
+NOISE_SHARE = 0.15
+"""Share of the pixels without any of their surface beside them, from which depth is noise: a frame full of leaves has .01,
+one full of hair .02 to .08, depths drawn at random between radii of 8 and 16 px .17."""
 MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
 
@@ -82,7 +85,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     Yields
     ------
     Surface
-        The layer itself, if no pixel is mixed; else first each pixel's own surface, then lists of others.
+        The layer itself, if no pixel is mixed, or its depth is noise; else first each pixel's own surface, then lists of others.
 
     Notes
     -----
@@ -92,6 +95,10 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     height, width = layer.shape
     layer = without_nothing(layer)
     place, known = places(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    if depth_is_noise(place):
+        # There are no surfaces to tell apart.
+        yield Surface(layer)
+        return
     if depth_is_filtered(place):
         layer, known = without_filter(layer, place)
         place = places(layer, camera)
@@ -243,6 +250,21 @@ def depth_is_filtered(place: Image) -> bool:
         for_bands(_blend_kernels.count_edges, len(each), each, LEAST_GAP, counts)
         total += counts.sum(axis=0)
     return bool(total[1] > total[0])
+
+
+def depth_is_noise(place: Image) -> bool:
+    """Guess whether depths are noise: even what is a pixel wide has a pixel of its own beside it, noise has none.
+
+    Parameters
+    ----------
+    place : ndarray of shape (H, W), float32
+        Where surfaces lie in depth, as CoC radii, px.
+    """
+    step = max(1, min(place.shape) // GUESSING_LINES)
+    counts = np.empty((-(-len(place) // step), 2), np.int64)
+    for_bands(_surface_kernels.count_alone, len(counts), place, LEAST_GAP, step, counts)
+    looked_at, alone = counts.sum(axis=0)
+    return bool(alone > NOISE_SHARE * looked_at)
 
 
 def without_nothing(layer: Layer) -> Layer:

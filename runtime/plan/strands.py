@@ -9,7 +9,7 @@ import numpy as np
 from spreadlets.arrays import Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.labels import Labels
-from spreadlets.runtime.label.surfaces import LEAST_GAP
+from spreadlets.runtime.label.surfaces import LEAST_GAP, depth_is_noise
 from spreadlets.runtime.plan import _strand_kernels
 
 
@@ -41,7 +41,10 @@ def find_strands(labels: Labels, cover: Image) -> Strands:
     cover : ndarray of shape (H, W), float32
         Share of each pixel that the labelled surface covers.
     """
-    place, blur = np.ascontiguousarray(labels.coc), np.abs(labels.coc) + np.float32(0.5) * labels.length
+    place = np.ascontiguousarray(labels.coc)
+    if depth_is_noise(place):
+        return Strands(np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32))
+    blur = np.abs(place) + np.float32(0.5) * labels.length
     ends, shares = np.empty(place.shape, np.int32), np.empty(place.shape, np.float32)
     for_bands(_strand_kernels.find_strands, len(place), place, blur, LEAST_GAP, ends, shares)
     found = np.zeros(place.shape, np.float32), np.empty((*place.shape, 2), np.int32)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from spreadlets.runtime.label import _gap_kernels, surfaces
-from spreadlets.runtime.label.surfaces import SharedSurfaces, depth_is_filtered, split_surfaces, without_nothing
+from spreadlets.runtime.label.surfaces import (
+    SharedSurfaces,
+    depth_is_filtered,
+    depth_is_noise,
+    split_surfaces,
+    without_nothing,
+)
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -135,6 +141,24 @@ def test_filtered_depth_is_told_from_point_samples(shape):
         layer, _ = drawn(shape, filtered=filtered)
         place = (CAMERA.coc_scale(24) * (1 / 6.0 - 1 / layer.depth)).astype(np.float32)
         assert depth_is_filtered(place) == filtered or shape is not edge
+
+
+def test_noise_is_told_from_hair_and_is_not_divided():
+    rng, size = np.random.default_rng(0), 256
+    hair = np.full((size, size), 30.0, np.float32)
+    for _ in range(600):
+        # Each has a depth of its own.
+        (y, x), angle = rng.uniform(0, size, 2), rng.uniform(0, np.pi)
+        along = np.arange(-40, 41)
+        rows, cols = (np.rint(y + along * np.sin(angle)).astype(int), np.rint(x + along * np.cos(angle)).astype(int))
+        inside = (rows >= 0) & (rows < size) & (cols >= 0) & (cols < size)
+        hair[rows[inside], cols[inside]] = rng.uniform(2.0, 20.0)
+    assert not depth_is_noise(hair) and not depth_is_noise(np.full((size, size), np.inf, np.float32))
+    assert depth_is_noise(rng.uniform(8.0, 16.0, (size, size)).astype(np.float32))
+    depth = rng.uniform(1.0, 6.0, (size, size)).astype(np.float32)
+    layer = Frame(rng.random((size, size, 3)).astype(np.float32), depth).layers[0]
+    assert depth_is_noise(surfaces.places(layer, CAMERA))
+    assert [each.share for each in split_surfaces(layer, CAMERA)] == [None]
 
 
 def test_a_bright_lamp_keeps_its_light_to_itself():
