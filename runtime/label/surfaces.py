@@ -26,9 +26,9 @@ SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
-NOISE_SHARE = 0.15
-"""Share of the pixels without any of their surface beside them, from which depth is noise: a frame full of leaves has .01,
-one full of hair .02 to .08, depths drawn at random between radii of 8 and 16 px .17."""
+NOISE_SHARE = 0.1
+"""Share of the pixels without any of their surface beside them, from which depth is noise: a frame full of leaves has
+.01, one full of hair .02 to .08, depths drawn at random between radii of 8 and 16 px .13."""
 MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
 
@@ -85,7 +85,8 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     Yields
     ------
     Surface
-        The layer itself, if no pixel is mixed, or its depth is noise; else first each pixel's own surface, then lists of others.
+        The layer itself, if no pixel is mixed, or its depth is noise; else first each pixel's own surface, then lists
+        of others.
 
     Notes
     -----

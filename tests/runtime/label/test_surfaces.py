@@ -155,7 +155,7 @@ def test_noise_is_told_from_hair_and_is_not_divided():
         hair[rows[inside], cols[inside]] = rng.uniform(2.0, 20.0)
     assert not depth_is_noise(hair) and not depth_is_noise(np.full((size, size), np.inf, np.float32))
     assert depth_is_noise(rng.uniform(8.0, 16.0, (size, size)).astype(np.float32))
-    depth = rng.uniform(1.0, 6.0, (size, size)).astype(np.float32)
+    depth = rng.uniform(0.3, 1.0, (size, size)).astype(np.float32)
     layer = Frame(rng.random((size, size, 3)).astype(np.float32), depth).layers[0]
     assert depth_is_noise(surfaces.places(layer, CAMERA))
     assert [each.share for each in split_surfaces(layer, CAMERA)] == [None]
