@@ -12,8 +12,9 @@ from spreadlets.compiled import helper, kernel
 
 _OCTANT = math.pi / 4.0
 
-SIGN_IGNORED, SIGN_TURNED, SIGN_STORED = 0, 1, 2
-"""What the side of the focus does to a PSF: nothing; half a turn; it has spreadlets of its own."""
+SIGN_IGNORED, SIGN_TURNED, SIGN_STORED, SIGN_TURNED_WHOLE = 0, 1, 2, 3
+"""What the side of the focus does to a PSF: nothing; half a turn, but not to its direction, which is that of a motion;
+it has spreadlets of its own; half a turn to all of it."""
 
 
 @kernel
@@ -183,12 +184,12 @@ def fold_pose(
         The pose; transpose first, then negate.
     """
     arrow, lattice, sign = codes
-    turned = in_front and sign == SIGN_TURNED
+    turned = in_front and (sign == SIGN_TURNED or sign == SIGN_TURNED_WHOLE)
     n_directions = n_poses // 2 if sign == SIGN_STORED else n_poses
     index, transpose, flip_row, flip_col = 0, False, False, False
     if n_directions > 1:
-        # Half a turn of the PSF turns its direction, too.
-        wanted = angle + math.pi if turned else angle
+        # Half a turn of the PSF turns its direction, too: where that stays, it must be turned before.
+        wanted = angle + math.pi if turned and sign == SIGN_TURNED else angle
         if not lattice:
             turns = wanted / (8.0 * _OCTANT if arrow else 4.0 * _OCTANT)
             index = int((turns - math.floor(turns)) * n_directions + 0.5) % n_directions

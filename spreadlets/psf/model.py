@@ -19,6 +19,7 @@ from spreadlets.psf._grid_kernels import (
     SIGN_IGNORED,
     SIGN_STORED,
     SIGN_TURNED,
+    SIGN_TURNED_WHOLE,
     cell_indices,
     fold_poses,
     grid_coordinates,
@@ -151,7 +152,8 @@ class PoseSymmetry:
         Whether the PSF is its own mirror image about its direction. Then the lattice's symmetries map directions onto
         each other, and those in [0, pi/4] suffice; else all are stored.
     sign : {"ignored", "turned", "stored"}
-        In front of focus the PSF is the one behind it; or that, turned by half a turn; or one of its own.
+        In front of focus the PSF is the one behind it; or that, turned by half a turn, save for a motion; or one of its
+        own.
 
     Raises
     ------
@@ -186,7 +188,8 @@ class PoseSymmetry:
     @property
     def codes(self) -> tuple[bool, bool, int]:
         """The symmetry as the kernels take it: arrow, lattice, and one of `SIGN_CODES`."""
-        return self.arrow, self.lattice, SIGN_CODES[self.sign]
+        whole = self.sign == "turned" and self.heading == "azimuth"
+        return self.arrow, self.lattice, SIGN_TURNED_WHOLE if whole else SIGN_CODES[self.sign]
 
 
 @dataclass(frozen=True)

@@ -189,6 +189,17 @@ def test_stored_poses_give_every_direction_on_both_sides(shape, curve, angle, in
 
 
 @compiled
+@pytest.mark.parametrize("extra", [{}, {"blades": 5, "rotation": 20.0}])
+@pytest.mark.parametrize("angle", [0.3, 1.9, -2.6])
+@pytest.mark.parametrize("in_front", [False, True])
+def test_stored_poses_of_a_radial_cats_eye_give_every_direction_on_both_sides(extra, angle, in_front):
+    grid = PsfGrid.of(make("simplelens", cats_eye=0.9, cats_eye_radial=True, **extra))
+    psf = pose_psf(grid, int(grid.find([RADIUS, 0.8])), [[RADIUS, RADIUS], [0.8, 0.8]], angle, in_front)
+    shape = {"cats_eye": 0.9 * 0.8, "cats_eye_angle": np.degrees(angle) + 180.0, **extra}
+    assert relative_l1(psf, drawn(shape, RADIUS, side=-1 if in_front else 1, n=600)) < 0.12
+
+
+@compiled
 def test_a_triangle_points_the_other_way_in_front_of_focus():
     grid = PsfGrid.of(make("simplelens", **SHAPES["triangle"]))
     cell = int(grid.find([RADIUS]))
