@@ -15,6 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets import _scan_kernels
+from spreadlets.arrays import FloatArray
+from spreadlets.parallel import for_bands
+
 LEAST_BYTES = 1 << 18
 """Smaller arrays are cheap as they are."""
 MOST_IDLE_BYTES = 256 << 20
@@ -108,3 +112,18 @@ def buffer(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDA
     if math.prod(shape) * kind.itemsize < LEAST_BYTES:
         return np.empty(shape, kind)
     return _pool.lend(shape, kind)
+
+
+def cleared(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
+    """Return an array of zeros in such memory, of two or more dimensions."""
+    array = buffer(shape, dtype)
+    for_bands(_scan_kernels.clear_rows, len(array), array.reshape(len(array), -1))
+    return array
+
+
+def copied(given: FloatArray) -> FloatArray:
+    """Return a copy, in such memory, of an array of two or more dimensions."""
+    array = buffer(given.shape)
+    rows = np.ascontiguousarray(given).reshape(len(given), -1)
+    for_bands(_scan_kernels.copy_rows, len(array), rows, array.reshape(len(array), -1))
+    return array

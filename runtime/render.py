@@ -14,7 +14,7 @@ from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
-from spreadlets.runtime.buffers import buffer
+from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, Visibility
@@ -413,8 +413,7 @@ def _splat_layer(
         if len(drawn) == 1 and drawn[0][1] == 1 and union([shown, drawn[0][0]]) == drawn[0][0]:
             shown, _, padded = drawn[0]
         else:
-            padded = buffer((shown.rows, shown.cols, 4))
-            padded[:] = 0.0
+            padded = cleared((shown.rows, shown.cols, 4))
             for canvas, step, image in drawn:
                 add_to_canvas(padded, shown, image, canvas, step)
     with clock.step("splat"):

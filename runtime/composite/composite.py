@@ -9,6 +9,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
+from spreadlets.scans import count_alphas
 
 LEAST_SEEN = 0.3
 """Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
@@ -94,4 +95,4 @@ def _half_size(image: Image, odd: tuple[int, int]) -> Image:
 
 def is_opaque(radiance: Image) -> bool:
     """Return whether every pixel (..., 4) is opaque."""
-    return bool((radiance[..., 3] == 1.0).all())
+    return count_alphas(radiance).whole == radiance[..., 3].size

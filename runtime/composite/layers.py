@@ -12,7 +12,7 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.box_blur import box_blurred
-from spreadlets.runtime.buffers import buffer
+from spreadlets.runtime.buffers import cleared
 from spreadlets.runtime.composite import _visibility_kernels
 from spreadlets.runtime.composite.sweep import enlarged, reduced_blur, reduction
 from spreadlets.runtime.label.lists import Pixels
@@ -117,8 +117,7 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
         Of the layer.
     """
     # Sum what nearer layers cover, and take off what they and this one do.
-    nearer, beyond = both = buffer((2, *cover.known.shape))
-    both[:] = 0.0
+    nearer, beyond = cleared(cover.known.shape), cleared(cover.known.shape)
     for part in cover.seen:
         _visibility_kernels.add_listed_cover(*part, number, nearer, beyond)
     for part in cover.hidden:

@@ -15,6 +15,7 @@ import numpy as np
 
 from spreadlets.arrays import BoolArray, DoubleArray
 from spreadlets.runtime.label.labels import View
+from spreadlets.scans import holds_anything
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -45,7 +46,7 @@ class Course(NamedTuple):
 
 def moves_itself(layers: Sequence[Layer]) -> bool:
     """Tell whether a frame has motion vectors of its own."""
-    return any(layer.motion.any() for layer in layers)
+    return any(holds_anything(layer.motion) for layer in layers)
 
 
 def carried(layers: Sequence[Layer], camera: ThinLens) -> list[Layer]:

@@ -14,9 +14,11 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import copied
 from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels, _width_kernels
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.tiles import largest_around, tiling
+from spreadlets.scans import count_alphas
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -115,7 +117,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     # Divide them among the surfaces around them.
     weights = weigh_pixels(place, point, layer.radiance, near)
     n, most = int(starts[-1]), _surface_kernels.MOST
-    first = np.ones(layer.shape, np.float32), layer.radiance.copy()
+    first = np.ones(layer.shape, np.float32), copied(layer.radiance)
     found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
     colours = np.empty((n, most, 4), np.float32)
     given = (place, point, layer.radiance, weights, known), (columns, starts), LEAST_GAP, first, (*found, colours)
@@ -246,7 +248,7 @@ def depth_is_filtered(place: Image) -> bool:
     total = np.zeros(2, np.int64)
     # Some rows and columns tell.
     rows, columns = (slice(None, None, max(1, side // GUESSING_LINES)) for side in place.shape)
-    for each in map(np.ascontiguousarray, (place[rows], place[:, columns].T)):
+    for each in map(np.ascontiguousarray, (place[rows], np.ascontiguousarray(place[:, columns]).T)):
         counts = np.zeros((len(each), 2), np.int64)
         for_bands(_blend_kernels.count_edges, len(each), each, LEAST_GAP, counts)
         total += counts.sum(axis=0)
@@ -274,10 +276,10 @@ def without_nothing(layer: Layer) -> Layer:
     Where depth is filtered, and a surface ends before nothing, its depth is mixed with whatever stands for nothing. As
     alpha is filtered alike, it tells how.
     """
-    alpha = layer.radiance[..., 3]
-    if alpha.all() or not ((alpha > 0.0) & (alpha < 1.0)).any():
+    count = count_alphas(layer.radiance)
+    if not (count.nothing and count.part):
         return layer
-    alpha = np.ascontiguousarray(alpha)
+    alpha = np.ascontiguousarray(layer.radiance[..., 3])
     height, surface = len(alpha), np.empty_like(alpha)
     for_bands(_blend_kernels.take_nothing_out, height, layer.depth, alpha, surface)
     counts = np.empty((height, 2), np.int64)

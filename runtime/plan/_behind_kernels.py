@@ -129,6 +129,18 @@ def enter_layer(begin, end, members, cover, at, number, level, corner, nearer, c
 
 
 @kernel
+def clear_features(begin, end, corner, wanted, features):
+    """Fill the features of wanted blocks of cells with 0; for the arguments see `sum_light`."""
+    above, before = corner[0] % BLOCK, corner[1] % BLOCK
+    for block in range(begin, end):
+        first, last = max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])
+        for across in range(wanted.shape[1]):
+            if wanted[block, across]:
+                start, stop = max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])
+                features[first:last, start:stop] = np.float32(0.0)
+
+
+@kernel
 def add_features(begin, end, surface, at, planes, number, level, corner, wanted, features):
     """Add up in cells what a surface shows of a layer.
 

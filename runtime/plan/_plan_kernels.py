@@ -314,10 +314,20 @@ def replace_keys(begin, end, key, lowest, place, label):
 
 
 @kernel
-def count_labels(label, n_variants):
-    """Count the pixels of each variant, shape (n_variants,), int64."""
+def key_range(begin, end, key):
+    """Return the least and the largest key (H, W), int64, of some rows, and of 0."""
+    low, high = 0, 0
+    for row in range(begin, end):
+        for col in range(key.shape[1]):
+            low, high = min(low, key[row, col]), max(high, key[row, col])
+    return low, high
+
+
+@kernel
+def count_labels(begin, end, label, n_variants):
+    """Count the pixels of each variant in some rows, shape (n_variants,), int64."""
     count = np.zeros(n_variants, np.int64)
-    for row in range(label.shape[0]):
+    for row in range(begin, end):
         for col in range(label.shape[1]):
             if label[row, col] >= 0:
                 count[label[row, col] % n_variants] += 1

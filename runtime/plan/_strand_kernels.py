@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.label._gap_kernels import on_line
 
@@ -83,16 +85,22 @@ def _steps_behind(place, row, col, down, across, gap):
     return 0
 
 
+@helper
+def _blur(place, length, row, col):
+    """Return how far a pixel blurs, px."""
+    return abs(place[row, col]) + np.float32(0.5) * length[row, col]
+
+
 @kernel
-def find_strands(begin, end, place, blur, gap, ends, shares):
+def find_strands(begin, end, place, length, gap, ends, shares):
     """Find where strands that end beside something nearer go on behind it, along a line.
 
     Parameters
     ----------
     place : ndarray of shape (H, W), float32
         Where surfaces lie in depth, as CoC radii, px.
-    blur : ndarray of shape (H, W), float32
-        How far each pixel blurs, px: only what blurs more than the strand shows it.
+    length : ndarray of shape (H, W), float32
+        Of each pixel's path, px: only what blurs more than the strand shows it.
     gap : float
         Difference of places that parts two surfaces.
     ends : ndarray of shape (H, W), int32
@@ -117,7 +125,7 @@ def find_strands(begin, end, place, blur, gap, ends, shares):
                     continue
                 steps = _steps_behind(place, row, col, down, across, gap)
                 i, j = int(math.floor(row + down + 0.5)), int(math.floor(col + across + 0.5))
-                if not steps or blur[i, j] <= blur[row, col]:
+                if not steps or _blur(place, length, i, j) <= _blur(place, length, row, col):
                     continue
                 # Is it there again behind?
                 i, j = int(math.floor(row + steps * down + 0.5)), int(math.floor(col + steps * across + 0.5))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from spreadlets.arrays import BoolArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.box_blur import box_blurred
-from spreadlets.runtime.buffers import buffer
+from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.label.labels import EVERYWHERE
 from spreadlets.runtime.label.lists import rows_of
 from spreadlets.runtime.label.pixels import Labelled
@@ -111,11 +111,9 @@ def find_behind(
     first, shape = surfaces[0][0], surfaces[0][0].shape
     seen, sums, reaches = _seen_of(frames[0], layering)
     # What is hidden: layer, share of the pixel, and features of each frame; and the layers in which pixels are known.
-    hidden = [
-        (np.zeros(shape, np.int32), np.zeros(shape, np.float32), buffer((*shape, _n_features(first)))) for _ in frames
-    ]
+    hidden = [(cleared(shape, np.int32), cleared(shape), buffer((*shape, _n_features(first)))) for _ in frames]
     known = [np.zeros(shape, np.uint64) for _ in frames]
-    nearer = np.zeros(shape, np.float32)
+    nearer = cleared(shape)
     # Where a strand lies hidden, nothing else of its layer does.
     strands = find_strands(surfaces[0][1].labels, seen.cover[-1])
     theirs = np.uint64(1) << seen.passes[-1].layer.ravel()[strands.sides[:, 0]].astype(np.uint64)
@@ -244,7 +242,8 @@ def _features(
     """Return what the surfaces of a frame show of a layer in wanted blocks, without highlights, see the kernels."""
     shape = tiling(seen.cover[-1].shape, 1 << level, seen.corner)
     features = buffer((*shape, n_features))
-    features[:] = 0.0
+    corner = _corner(seen.corner, level)
+    for_bands(_behind_kernels.clear_features, len(wanted), corner, wanted, features)
     for each, at, (layer, _) in zip(seen.passes, seen.at, surfaces, strict=True):
         planes = layer.depths, layer.motions
         given = each._replace(radiance=layer.radiance), at, planes, number, level, seen.corner, wanted, features
@@ -253,9 +252,9 @@ def _features(
         else:
             for_bands(_behind_kernels.add_features, len(features), *given)
     # What is copied holds no lamps.
-    inner, light = _corner(seen.corner, level), np.empty((*wanted.shape, 2))
-    for_bands(_behind_kernels.sum_light, len(light), features, inner, wanted, light)
-    for_bands(_behind_kernels.dim_highlights, len(light), light, inner, features)
+    light = np.empty((*wanted.shape, 2))
+    for_bands(_behind_kernels.sum_light, len(light), features, corner, wanted, light)
+    for_bands(_behind_kernels.dim_highlights, len(light), light, corner, features)
     return features
 
 

@@ -25,6 +25,7 @@ from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading
 from spreadlets.psf.model import PsfModel
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.remembered import Remembered
+from spreadlets.runtime.buffers import copied
 from spreadlets.runtime.label.labels import HEADINGS, View
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.options import DEFAULT_TOLERANCE
@@ -140,7 +141,7 @@ def find_highlights(
 def _dimmed(pixels: Pixels, highlights: IntArray) -> Pixels:
     if not len(highlights):
         return pixels
-    radiance = pixels.radiance.copy()
+    radiance = copied(pixels.radiance)
     radiance.reshape(-1, 4)[highlights, :3] = 0.0
     return pixels._replace(radiance=radiance)
 

@@ -37,6 +37,7 @@ from spreadlets.runtime.plan.pool import place_pixels, pool
 from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
+from spreadlets.scans import holds_anything
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -110,7 +111,8 @@ class Plan:
         """
         drawn, splats, merged = np.zeros((3, self.table.n_variants), np.int64)
         for source in (each for levels in self.sources for each in levels):
-            count = _plan_kernels.count_labels(source.label, self.table.n_variants)
+            given = source.label, self.table.n_variants
+            count = np.sum(for_bands(_plan_kernels.count_labels, len(source.label), *given), axis=0)
             splats += count
             drawn += count * source.stride**2
             merged += count * source.stride**2 if source.stride > 1 else 0
@@ -454,7 +456,8 @@ def _numbered(
     keys: Sequence[npt.NDArray[np.int64]],
 ) -> tuple[npt.NDArray[np.int64], list[npt.NDArray[np.int32]]]:
     """Return the keys in use, ascending; and for each set the number of each pixel's key, -1 where invisible."""
-    lowest, highest = (int(pick([pick(key) for key in keys] + [0])) for pick in (np.min, np.max))
+    ends = [each for key in keys for each in for_bands(_plan_kernels.key_range, len(key), key)]
+    lowest, highest = min(low for low, _ in ends), max(high for _, high in ends)
     is_used, place = buffer((1 + highest - lowest,), np.bool_), buffer((1 + highest - lowest,), np.int32)
     is_used[:] = False
     for key in keys:
@@ -616,10 +619,10 @@ def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant],
     labels = [each.labels for each in pixel_sets]
     skipped: dict[str, bool] = {
         "empty pixels": plan.pixels_skipped > 0,
-        "motion": not any(each.length.any() for each in labels),
+        "motion": not any(holds_anything(each.length) for each in labels),
         "curved motion": all(each.curved is None for each in frames),
         "blended depths": stochastic or not any(_is_shared(each) for each in frames),
-        "defocus": not any(each.coc.any() for each in labels),
+        "defocus": not any(holds_anything(each.coc) for each in labels),
         "depth layers": plan.n_layers == 1,
         "sparse image": bool(plan.table.direct.all()),
         "direct image": not plan.table.direct.any(),

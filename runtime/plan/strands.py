@@ -8,6 +8,7 @@ import numpy as np
 
 from spreadlets.arrays import Image, IntArray
 from spreadlets.parallel import for_bands
+from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.surfaces import LEAST_GAP, depth_is_noise
 from spreadlets.runtime.plan import _strand_kernels
@@ -44,10 +45,9 @@ def find_strands(labels: Labels, cover: Image) -> Strands:
     place = np.ascontiguousarray(labels.coc)
     if depth_is_noise(place):
         return Strands(np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32))
-    blur = np.abs(place) + np.float32(0.5) * labels.length
-    ends, shares = np.empty(place.shape, np.int32), np.empty(place.shape, np.float32)
-    for_bands(_strand_kernels.find_strands, len(place), place, blur, LEAST_GAP, ends, shares)
-    found = np.zeros(place.shape, np.float32), np.empty((*place.shape, 2), np.int32)
+    ends, shares = buffer(place.shape, np.int32), buffer(place.shape)
+    for_bands(_strand_kernels.find_strands, len(place), place, labels.length, LEAST_GAP, ends, shares)
+    found = cleared(place.shape), buffer((*place.shape, 2), np.int32)
     _strand_kernels.lay_strands(0, len(place), place, LEAST_GAP, ends, shares, found)
     _strand_kernels.close_holes(0, len(place), *found)
     at = np.flatnonzero(found[0] != 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import option
+from spreadlets.scans import visible_range
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame, Layer
 from spreadlets.scene.samples import SampleBuffer, valid_values
@@ -92,10 +93,7 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
 
 def _finite_range(layer: Layer) -> tuple[float, float]:
     """Return the nearest and farthest depth of what is visible, without the background."""
-    seen = (layer.depth < FAR) & (layer.radiance[..., 3] > 0)
-    if not seen.any():
-        return math.inf, 0.0
-    return float(layer.depth.min(where=seen, initial=np.inf)), float(layer.depth.max(where=seen, initial=0))
+    return visible_range(layer.depth, layer.radiance, FAR)
 
 
 def layer_doubts(frame: Frame) -> list[str]:
