@@ -12,15 +12,6 @@ from spreadlets.runtime._vector_kernels import load, multiply, store
 _U = np.uint64
 
 
-class Colours(NamedTuple):
-    """What lies beyond each side of a frame, shapes (W, 4), (W, 4), (H, 4) and (H, 4), float32."""
-
-    above: Image
-    below: Image
-    left: Image
-    right: Image
-
-
 class Weighted(NamedTuple):
     """Pixels: colours (H, W, 4), float32; weights (H, W), or (0, 0) if all are 1, float32; labels (H, W), int32."""
 
@@ -30,64 +21,35 @@ class Weighted(NamedTuple):
 
 
 @helper
-def _median(values, n):
-    """Return the median of the first n values, sorting them in place."""
-    for i in range(1, n):
-        each = values[i]
-        k = i
-        while k > 0 and values[k - 1] > each:
-            values[k] = values[k - 1]
-            k -= 1
-        values[k] = each
-    return np.float32(0.5) * (values[(n - 1) // 2] + values[n // 2])
-
-
-@kernel
-def border_colours(strip, half, colour):
-    """Take the median of a strip across the border, then along it.
-
-    Parameters
-    ----------
-    strip : ndarray of shape (n, W, 4), float32
-        Pixels along a border.
-    half : int
-        The second median is over ``2 half + 1`` pixels, repeating the last at the ends.
-    colour : ndarray of shape (W, 4), float32
-        Filled.
-    """
-    n, width = strip.shape[:2]
-    across = np.empty((width, 4), np.float32)
-    values = np.empty(max(n, 2 * half + 1), np.float32)
-    for col in range(width):
-        for c in range(4):
-            for i in range(n):
-                values[i] = strip[i, col, c]
-            across[col, c] = _median(values, n)
-    for col in range(width):
-        for c in range(4):
-            for i in range(2 * half + 1):
-                values[i] = across[min(max(col + i - half, 0), width - 1), c]
-            colour[col, c] = _median(values, 2 * half + 1)
+def mirrored(place, size):
+    """Return the row of a frame of ``size`` rows that is seen at a place beyond it, mirrored as often as it takes."""
+    place %= 2 * size
+    return place if place < size else 2 * size - 1 - place
 
 
 @helper
-def colour_beyond(colours, down, right, row, col):
-    """Return the colour of a pixel beyond the frame's border, whose nearest pixel in the frame is (row, col)."""
-    if down != row:
-        side, place = colours.above if down < row else colours.below, col
-    else:
-        side, place = colours.left if right < col else colours.right, row
-    return side[place, 0], side[place, 1], side[place, 2], side[place, 3]
+def first_image(place, size, least):
+    """Return the first place, from ``least`` on, that a row is seen at, of those that lie whole periods apart."""
+    return least + (place - least) % (2 * size)
 
 
 @kernel
-def extend_frame(begin, end, frame, colours, reach, origin, radiance, label):
-    """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
+def row_reaches(begin, end, label, reach, found):
+    """Fill ``found`` (H,), int64, with how far the PSFs of each row reach; -1 where nothing is drawn."""
+    for row in range(begin, end):
+        found[row] = -1
+        for col in range(label.shape[1]):
+            if label[row, col] >= 0:
+                found[row] = max(found[row], reach[label[row, col] % len(reach)])
+
+
+@kernel
+def extend_frame(begin, end, frame, reach, origin, radiance, label):
+    """Weight the pixels of a frame, and mirror it at its border, as far as the PSFs of its pixels reach back.
 
     Parameters
     ----------
     frame : Weighted
-    colours : Colours
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
     origin : tuple of two ints
@@ -98,29 +60,25 @@ def extend_frame(begin, end, frame, colours, reach, origin, radiance, label):
     """
     own, weight, labels = frame.radiance.reshape(frame.radiance.size), frame.weight, frame.label
     target, pitch, (height, width) = radiance.reshape(radiance.size), label.shape[1], labels.shape
-    above, below, left, right = colours
     for i in range(begin, end):
         down = origin[0] + i
-        row = min(max(down, 0), height - 1)
-        first = -origin[1] if down == row else pitch
-        # Continue colours beyond the border; draw nothing that is black, or too far outside for its PSF to reach back.
-        for j in range(pitch - (width if down == row else 0)):
+        row, above = mirrored(down, height), max(-down, down - height + 1, 0)
+        first = pitch if above else -origin[1]
+        # Mirror what lies near the border; draw nothing that is black, or too far outside for its PSF to reach back.
+        for j in range(pitch - (0 if above else width)):
             j += width if j >= first else 0
-            col = min(max(origin[1] + j, 0), width - 1)
+            right = origin[1] + j
+            col = mirrored(right, width)
             index = labels[row, col]
             label[i, j] = -1
-            if index < 0 or max(abs(down - row), abs(origin[1] + j - col)) > reach[index % len(reach)]:
+            if index < 0 or max(above, -right, right - width + 1) > reach[index % len(reach)]:
                 continue
             share = weight[row, col] if weight.shape[0] else np.float32(1.0)
             for c in range(4):
-                if down != row:
-                    colour = above[col, c] if down < row else below[col, c]
-                else:
-                    colour = left[row, c] if j < first else right[row, c]
-                radiance[i, j, c] = share * colour
-                if colour != 0:
+                radiance[i, j, c] = share * frame.radiance[row, col, c]
+                if frame.radiance[row, col, c] != 0:
                     label[i, j] = index
-        if down != row:
+        if above:
             continue
         # Weight the frame's own pixels.
         for col in range(width):

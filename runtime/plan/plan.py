@@ -26,9 +26,8 @@ from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
-from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
-from spreadlets.runtime.plan.border import border_colours, extended_pass
+from spreadlets.runtime.plan.border import extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -170,7 +169,6 @@ class _Part(NamedTuple):
     pixels: Pixels
     label: npt.NDArray[np.int32]
     weight: npt.NDArray[np.float32]
-    colours: Colours | None
 
 
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
@@ -341,9 +339,9 @@ def _lay_out(
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
-    beyond = _border_colours(pixel_sets) if border else [None] * len(pixel_sets)
-    parts = _all_parts(highlights.dimmed(pixel_sets), members, beyond, n_layers, table.n_variants)
-    splats = list(_splat_passes(parts, pixel_sets[0].labels.view.frame_shape, table, n_layers, wide))
+    parts = _all_parts(highlights.dimmed(pixel_sets), members, n_layers, table.n_variants)
+    shape = pixel_sets[0].labels.view.frame_shape
+    splats = list(_splat_passes(parts, shape, table, n_layers, wide, border=border))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     own = highlights.splats(pixel_sets, members, table, chosen.n_variants, wide)
@@ -537,26 +535,17 @@ def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int
     return frame._replace(label=label[frame.label])
 
 
-def _border_colours(pixel_sets: Sequence[Pixels]) -> list[Colours]:
-    """Return the colours beyond the border of each set; sets often share their colours."""
-    return [_colours_beyond(pixels.radiance if pixels.frame is None else pixels.frame) for pixels in pixel_sets]
-
-
-_colours_beyond = Remembered(border_colours)
-
-
 def _all_parts(
     pixel_sets: Sequence[Pixels],
     members: Sequence[Membership],
-    beyond: Sequence[Colours | None],
     n_layers: int,
     n_variants: int,
 ) -> Iterator[_Part]:
-    """Yield all parts of all pixels, with the colours beyond the border of each set."""
-    for pixels, member, colours in zip(pixel_sets, members, beyond, strict=True):
+    """Yield all parts of all pixels."""
+    for pixels, member in zip(pixel_sets, members, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):
-                yield _Part(pixels, label, weight, colours)
+                yield _Part(pixels, label, weight)
 
 
 def _parts(
@@ -575,18 +564,24 @@ def _parts(
 
 
 def _splat_passes(
-    parts: Iterator[_Part], shape: tuple[int, int], table: PointTable, n_layers: int, wide: npt.NDArray[np.bool_]
+    parts: Iterator[_Part],
+    shape: tuple[int, int],
+    table: PointTable,
+    n_layers: int,
+    wide: npt.NDArray[np.bool_],
+    *,
+    border: bool,
 ) -> Iterator[SplatPass]:
     """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
     shifted = []
-    for pixels, label, weight, colours in parts:
+    for pixels, label, weight in parts:
         if pixels.labels.shift is None:
             whole = SplatPass((0, 0), pixels.radiance, label)
-            yield extended_pass(whole, weight, table.reaches, colours, pixels.labels.view.corner)
+            yield extended_pass(whole, weight, table.reaches, pixels.labels.view.corner, border=border)
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at
-            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, at, wide, colours))
+            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, at, wide, border=border))
     yield from pool(shifted, shape, table.reaches, n_layers)
 
 
