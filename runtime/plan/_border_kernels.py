@@ -1,5 +1,6 @@
 """Compiled kernels that continue a frame beyond its border."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,10 @@ from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import load, multiply, store
 
 _U = np.uint64
+BLOCK = 16
+"""Side, px, of the blocks whose light, with that of those beside them, tells what is a lamp."""
+BRIGHTEST = 8.0
+"""How many times as bright as the mean around it what is continued may be: of a lamp, it would be a row of lamps."""
 
 
 class Weighted(NamedTuple):
@@ -20,36 +25,58 @@ class Weighted(NamedTuple):
     label: npt.NDArray[np.int32]
 
 
-@helper
-def mirrored(place, size):
-    """Return the row of a frame of ``size`` rows that is seen at a place beyond it, mirrored as often as it takes."""
-    place %= 2 * size
-    return place if place < size else 2 * size - 1 - place
+@kernel
+def sum_light(begin, end, radiance, light):
+    """Fill ``light`` (h, w, 2), float64, with the sums of evened light and of alpha in blocks.
 
+    A mean of fourth roots hardly changes with a lamp, and tells bright from dark where both are.
 
-@helper
-def first_image(place, size, least):
-    """Return the first place, from ``least`` on, that a row is seen at, of those that lie whole periods apart."""
-    return least + (place - least) % (2 * size)
+    Parameters
+    ----------
+    radiance : ndarray of shape (H, W, 4), float32
+    """
+    height, width = radiance.shape[:2]
+    for block in range(begin, end):
+        light[block] = 0.0
+        for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
+            for col in range(width):
+                brightest = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
+                alpha = np.float64(radiance[row, col, 3])
+                if alpha > 0.0 and brightest > 0.0:
+                    light[block, col // BLOCK, 0] += alpha * math.sqrt(math.sqrt(brightest / alpha))
+                light[block, col // BLOCK, 1] += alpha
 
 
 @kernel
-def row_reaches(begin, end, label, reach, found):
-    """Fill ``found`` (H,), int64, with how far the PSFs of each row reach; -1 where nothing is drawn."""
-    for row in range(begin, end):
-        found[row] = -1
-        for col in range(label.shape[1]):
-            if label[row, col] >= 0:
-                found[row] = max(found[row], reach[label[row, col] % len(reach)])
+def limit_light(begin, end, light, limit):
+    """Fill ``limit`` (h, w), float32, with how bright what is continued of each block may be; see `sum_light`."""
+    for block in range(begin, end):
+        for across in range(light.shape[1]):
+            total, cover = 0.0, 0.0
+            for k in range(max(block - 1, 0), min(block + 2, light.shape[0])):
+                for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
+                    total += light[k, m, 0]
+                    cover += light[k, m, 1]
+            limit[block, across] = BRIGHTEST * (total / cover) ** 4 if cover > 0.0 else 0.0
+
+
+@helper
+def dimming(radiance, i, j, limit, row, col):
+    """Return the factor by which the light of a pixel, at (row, col) on the border, is dimmed beyond it."""
+    brightest = max(radiance[i, j, 0], radiance[i, j, 1], radiance[i, j, 2])
+    most = limit[row // BLOCK, col // BLOCK] * radiance[i, j, 3]
+    return most / brightest if brightest > most else np.float32(1.0)
 
 
 @kernel
-def extend_frame(begin, end, frame, reach, origin, radiance, label):
-    """Weight the pixels of a frame, and mirror it at its border, as far as the PSFs of its pixels reach back.
+def extend_frame(begin, end, frame, limit, reach, origin, radiance, label):
+    """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
 
     Parameters
     ----------
     frame : Weighted
+    limit : ndarray of shape (H / BLOCK, W / BLOCK), float32
+        How bright what lies beyond the border may be, see `limit_light`; not read where nothing does.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
     origin : tuple of two ints
@@ -62,23 +89,23 @@ def extend_frame(begin, end, frame, reach, origin, radiance, label):
     target, pitch, (height, width) = radiance.reshape(radiance.size), label.shape[1], labels.shape
     for i in range(begin, end):
         down = origin[0] + i
-        row, above = mirrored(down, height), max(-down, down - height + 1, 0)
-        first = pitch if above else -origin[1]
-        # Mirror what lies near the border; draw nothing that is black, or too far outside for its PSF to reach back.
-        for j in range(pitch - (0 if above else width)):
+        row = min(max(down, 0), height - 1)
+        first = -origin[1] if down == row else pitch
+        # Repeat the nearest pixel; draw nothing that is black, or too far outside for its PSF to reach back.
+        for j in range(pitch - (width if down == row else 0)):
             j += width if j >= first else 0
-            right = origin[1] + j
-            col = mirrored(right, width)
+            col = min(max(origin[1] + j, 0), width - 1)
             index = labels[row, col]
             label[i, j] = -1
-            if index < 0 or max(above, -right, right - width + 1) > reach[index % len(reach)]:
+            if index < 0 or max(abs(down - row), abs(origin[1] + j - col)) > reach[index % len(reach)]:
                 continue
             share = weight[row, col] if weight.shape[0] else np.float32(1.0)
+            light = share * dimming(frame.radiance, row, col, limit, row, col)
             for c in range(4):
-                radiance[i, j, c] = share * frame.radiance[row, col, c]
+                radiance[i, j, c] = (light if c < 3 else share) * frame.radiance[row, col, c]
                 if frame.radiance[row, col, c] != 0:
                     label[i, j] = index
-        if above:
+        if down != row:
             continue
         # Weight the frame's own pixels.
         for col in range(width):

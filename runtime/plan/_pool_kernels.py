@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime.plan._border_kernels import first_image
+from spreadlets.runtime.plan._border_kernels import dimming
 
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS
@@ -46,6 +46,15 @@ class Pooled(NamedTuple):
     shift: npt.NDArray[np.int32]
 
 
+class Sides(NamedTuple):
+    """By how many pixels a frame is continued on each side."""
+
+    above: int
+    below: int
+    left: int
+    right: int
+
+
 @kernel
 def place_steps(begin, end, shift, label, wide, steps):
     """Fill ``steps`` (H, W, 2), int32, with the displacement (row, col) of each splat's centre, in 1/16 px.
@@ -70,19 +79,20 @@ def place_steps(begin, end, shift, label, wide, steps):
 
 
 @kernel
-def list_splats(begin, end, pixels, shape, border, reach, first_row, at, splats):
+def list_splats(begin, end, pixels, shape, limit, padding, reach, first_row, at, splats):
     """Count the splats of labelled pixels in each row of the image, or list them.
 
-    A splat whose centre lies between pixels becomes up to four. Beyond the frame's border, pixels are drawn again where
-    they are seen in a mirror, with the same label and shift. What cannot reach the frame is left out.
+    A splat whose centre lies between pixels becomes up to four. Beyond the frame's border, the nearest pixel in it is
+    drawn again. What cannot reach the frame is left out.
 
     Parameters
     ----------
     pixels : Stepped
     shape : tuple of two ints
         Height and width of the frame.
-    border : bool
-        Whether they are drawn again beyond the frame's border.
+    limit : ndarray of shape (h, w), float32
+        How bright they may be beyond the border, see `runtime.plan.border.border_limit`; not read without padding.
+    padding : Sides
     reach : ndarray of shape (n_variants,), int64
         How far each variant reaches from its centre, px.
     first_row : int
@@ -105,39 +115,38 @@ def list_splats(begin, end, pixels, shape, border, reach, first_row, at, splats)
                 row, col = i, j
                 if len(places):
                     row, col = np.int64(places[i, j, 0]), np.int64(places[i, j, 1])
-                # Shifts and masks take the floor of negative steps, too.
-                step_y, step_x, far = np.int64(steps[i, j, 0]), np.int64(steps[i, j, 1]), reach[index % len(reach)]
-                part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
                 red, green = radiance[i, j, 0], radiance[i, j, 1]
                 blue, alpha = radiance[i, j, 2], radiance[i, j, 3]
                 if red == 0 and green == 0 and blue == 0 and alpha == 0:
                     continue
-                # Find the places from which it reaches the frame: its own, and those where it is seen in a mirror.
-                move_y, move_x = step_y >> STEP_BITS, step_x >> STEP_BITS
-                top, bottom = (-far - 1 - move_y, height + far - move_y) if border else (row, row)
-                left, right = (-far - 1 - move_x, width + far - move_x) if border else (col, col)
-                for image in range(4):
-                    down = first_image(-1 - row if image >= 2 else row, height, top)
-                    while down <= bottom:
-                        across = first_image(-1 - col if image % 2 else col, width, left)
-                        while across <= right:
-                            # Share it between the pixels around its centre.
-                            first_y, first_x = down + move_y, across + move_x
-                            for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
-                                for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
-                                    place = at[chunk, y - first_row]
-                                    at[chunk, y - first_row] = place + 1
-                                    if not len(listed_label):
-                                        continue
-                                    share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
-                                        STEPS_PER_PIXEL - part_x if x == first_x else part_x
-                                    )
-                                    part = weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
-                                    listed_label[place], listed_col[place] = index, x
-                                    listed_radiance[place, 0], listed_radiance[place, 1] = part * red, part * green
-                                    listed_radiance[place, 2], listed_radiance[place, 3] = part * blue, part * alpha
-                            across += 2 * width
-                        down += 2 * height
+                # Shifts and masks take the floor of negative steps, too.
+                step_y, step_x, far = np.int64(steps[i, j, 0]), np.int64(steps[i, j, 1]), reach[index % len(reach)]
+                part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
+                # What lies on the border is drawn again beyond it, as far as it was found to reach back.
+                top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
+                bottom = row + (padding.below if row == height - 1 else 0)
+                right = col + (padding.right if col == width - 1 else 0)
+                for down in range(top, bottom + 1):
+                    for across in range(left, right + 1):
+                        light = np.float32(1.0)
+                        if down != row or across != col:
+                            light = dimming(radiance, i, j, limit, row, col)
+                        # Share it between the pixels around its centre.
+                        first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
+                        for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
+                            for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
+                                place = at[chunk, y - first_row]
+                                at[chunk, y - first_row] = place + 1
+                                if not len(listed_label):
+                                    continue
+                                share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
+                                    STEPS_PER_PIXEL - part_x if x == first_x else part_x
+                                )
+                                part = weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
+                                listed_label[place], listed_col[place] = index, x
+                                lit = part * light
+                                listed_radiance[place, 0], listed_radiance[place, 1] = lit * red, lit * green
+                                listed_radiance[place, 2], listed_radiance[place, 3] = lit * blue, part * alpha
 
 
 @helper

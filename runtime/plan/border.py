@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image, IntArray
+from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.plan import _border_kernels
 from spreadlets.runtime.plan._border_kernels import Weighted
@@ -17,14 +18,12 @@ def extended_pass(
     frame: SplatPass,
     share: Image,
     reach: npt.NDArray[np.int64],
+    limit: Image,
     corner: tuple[int, int] = (0, 0),
-    *,
-    border: bool = True,
 ) -> SplatPass:
-    """Return a frame with its pixels weighted, and with what lies beyond its border: the frame in a mirror.
+    """Return a frame with its pixels weighted, and with what lies beyond its border.
 
-    Colours, labels and weights are those of the mirrored pixels, as far as their PSFs reach back into the frame. So it
-    is as bright outside as inside, and what touches the border goes on.
+    There, the nearest pixel on the border is repeated, as far as its PSF reaches back into the frame; lamps are dimmed.
 
     Parameters
     ----------
@@ -34,10 +33,10 @@ def extended_pass(
         Weight of each pixel; empty if all are 1.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches from its pixel, px.
-    corner : tuple of int
+    limit : ndarray of shape (h, w), float32
+        How bright what lies beyond the border may be, see `border_limit`; empty if nothing lies there.
+    corner : tuple of two ints
         Row and column of the frame's first pixel, counted from the picture's centre.
-    border : bool
-        Whether anything lies beyond it.
 
     Returns
     -------
@@ -49,30 +48,37 @@ def extended_pass(
     # Find how far the PSFs along each side reach back, in whole blocks of the grid.
     height, width = frame.label.shape
     top = bottom = left = right = 0
-    if border and len(reach):
-        flipped = frame.label[::-1, ::-1]
-        sides = frame.label, flipped, frame.label.T, flipped.T
-        top, bottom, left, right = (_reaching_back(side, reach) for side in sides)
+    if len(limit) and len(reach):
+        edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
+        top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
         top, left = (side + (at - side) % STRIDES[-1] for side, at in zip((top, left), corner, strict=True))
     elif not len(share):
         return frame
-    # Mirror the frame.
+    # Repeat pixels outwards.
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), buffer((*shape, 4)), buffer(shape, np.int32))
-    given = Weighted(frame.radiance, share, frame.label), reach, extended.origin, extended.radiance, extended.label
-    for_bands(_border_kernels.extend_frame, shape[0], *given)
+    for_bands(
+        _border_kernels.extend_frame,
+        shape[0],
+        Weighted(frame.radiance, share, frame.label),
+        limit,
+        reach,
+        extended.origin,
+        extended.radiance,
+        extended.label,
+    )
     return extended
 
 
-def _reaching_back(label: npt.NDArray[np.int32], reach: IntArray) -> int:
-    """Return how many rows, mirrored at the first row of a frame, have PSFs that reach back into it."""
-    farthest = int(reach.max())
-    found = np.empty(min(len(label), farthest), np.int64)
-    rows = np.ascontiguousarray(label[: len(found)])
-    for_bands(_border_kernels.row_reaches, len(found), rows, reach, found)
-    # The mirror image of the whole frame is seen again and again.
-    away = np.arange(farthest)
-    seen = away % (2 * len(label))
-    row = np.where(seen < len(label), seen, 2 * len(label) - 1 - seen)
-    back = np.flatnonzero(found[row] > away)
-    return int(back[-1]) + 1 if len(back) else 0
+@Remembered
+def border_limit(radiance: Image) -> Image:
+    """Return how bright what goes on beyond the border of colours (H, W, 4) may be, in blocks, shape (h, w).
+
+    A plain repetition would turn a lamp at the border into a row of lamps, and its bokeh would grow brighter towards
+    the border.
+    """
+    shape = tuple(-(-side // _border_kernels.BLOCK) for side in radiance.shape[:2])
+    light, limit = np.empty((*shape, 2)), np.empty(shape, np.float32)
+    for_bands(_border_kernels.sum_light, len(light), radiance, light)
+    for_bands(_border_kernels.limit_light, len(light), light, limit)
+    return limit

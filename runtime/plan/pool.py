@@ -9,7 +9,7 @@ splatting is linear; and neighbours with one PSF become runs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands, for_blocks
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _pool_kernels
-from spreadlets.runtime.plan._pool_kernels import Pooled, Splats, Stepped
+from spreadlets.runtime.plan._pool_kernels import Pooled, Sides, Splats, Stepped
 from spreadlets.runtime.splat.passes import SplatPass
 
 CHUNKS = 16
@@ -40,8 +40,9 @@ class PlacedPixels(NamedTuple):
         Displacement (row, col) of the splat's centre from the pixel, in 1/16 px.
     at : ndarray of shape (H, W, 2), int32
         Row and column in the frame of the pixels of a list; empty for all pixels of a frame.
-    border : bool
-        Whether they are seen again, mirrored, beyond the frame's border, see `runtime.plan.border.extended_pass`.
+    limit : ndarray of shape (h, w), float32
+        How bright they may be where they are repeated beyond the border, see `runtime.plan.border.border_limit`; empty
+        if they are not.
     """
 
     radiance: Image
@@ -49,7 +50,7 @@ class PlacedPixels(NamedTuple):
     label: npt.NDArray[np.int32]
     steps: npt.NDArray[np.int32]
     at: npt.NDArray[np.int32]
-    border: bool
+    limit: Image
 
 
 def place_pixels(
@@ -59,14 +60,13 @@ def place_pixels(
     shift: Image,
     at: npt.NDArray[np.int32] | None,
     wide: npt.NDArray[np.bool_],
-    *,
-    border: bool,
+    limit: Image,
 ) -> PlacedPixels:
     """Return pixels with their places.
 
     Parameters
     ----------
-    radiance, label, border
+    radiance, label, limit
         See `PlacedPixels`.
     weight : ndarray of shape (H, W) or (0, 0), float32
         Empty if all weights are 1.
@@ -80,7 +80,7 @@ def place_pixels(
     steps = np.empty(shift.shape, np.int32)
     for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, steps)
     weight = weight if len(weight) else np.ones(label.shape, np.float32)
-    return PlacedPixels(radiance, weight, label, steps, NO_SHIFT if at is None else at, border)
+    return PlacedPixels(radiance, weight, label, steps, NO_SHIFT if at is None else at, limit)
 
 
 def pool(
@@ -124,8 +124,23 @@ def _list(
     splats: Splats,
 ) -> None:
     """Count or list the splats of pixels, see the kernel."""
-    drawn = Stepped(*pixels[:5]), shape, pixels.border, reaches, -far
+    padding = _padding(pixels, shape, reaches) if len(pixels.limit) else Sides(0, 0, 0, 0)
+    drawn = Stepped(*pixels[:5]), shape, pixels.limit, padding, reaches, -far
     for_blocks(_pool_kernels.list_splats, len(at), *drawn, at, splats)
+
+
+def _padding(pixels: PlacedPixels, shape: tuple[int, int], reaches: npt.NDArray[np.int64]) -> Sides:
+    """Return how far beyond each side a pixel like those on the border reaches back into the frame."""
+    found = []
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        border = 0 if sign > 0 else shape[axis] - 1
+        edge: Any = [slice(None)] * 2
+        edge[axis] = border
+        edge = pixels.at[..., axis] == border if len(pixels.at) else tuple(edge)
+        label, steps = pixels.label[edge], pixels.steps[edge][..., axis]
+        towards = sign * (steps[label >= 0] // _pool_kernels.STEPS_PER_PIXEL) + 1
+        found.append(int((reaches[label[label >= 0] % len(reaches)] + towards).max(initial=0)))
+    return Sides(*found)
 
 
 def _pooled(
