@@ -201,8 +201,10 @@ class _KernelCache(FunctionCache):
             _first_calls.append((self._py_func.__module__, self._py_func.__name__, signature))
         try:
             return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
-        except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-            # Damaged, or of a version whose types are not there any more: begin anew.
+        except OSError:
+            return None
+        except (EOFError, pickle.UnpicklingError, AttributeError, ImportError):
+            # It is damaged, or tells of types that this version does not have: what is kept from now on is listed anew.
             with suppress(OSError):
                 self._cache_file.flush()
             return None

@@ -1,4 +1,5 @@
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -148,6 +149,14 @@ def test_kernels_are_compiled_once_said_so_and_survive_copying(tmp_path):
     for each in copy.glob("*.nbc"):
         each.write_bytes(b"torn")
     assert run(RUN, copy).stdout.splitlines()[-1] == "3 1"
+
+
+def test_kernels_of_another_version_whose_types_are_gone_are_made_anew(tmp_path):
+    assert run(RUN, tmp_path).stdout.splitlines()[-1] == "3 1"
+    (index,) = tmp_path.glob("*.nbi")
+    index.write_bytes(pickle.dumps(numba.__version__, protocol=-1) + b"cspreadlets.compiled\nGone\n.")
+    assert run(RUN, tmp_path).stdout.splitlines()[-1] == "3 1"
+    assert run(RUN, tmp_path).stdout.splitlines() == ["3 0"]
 
 
 def test_a_change_of_any_kernel_makes_all_anew(monkeypatch, tmp_path):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from threads import for_thread_counts
 
+from spreadlets.arrays import NOTHING
 from spreadlets.runtime.plan import pool as pooling
-from spreadlets.runtime.plan._border_kernels import Colours
 from spreadlets.runtime.plan.pool import place_pixels, pool
 
 H, W, N_VARIANTS, N_LAYERS = 6, 9, 3, 2
@@ -16,27 +16,24 @@ def make_samples(rng, *, border, spread=5.0):
     weight = rng.random((H, W)).astype(np.float32)
     label = rng.integers(-1, N_VARIANTS * N_LAYERS, (H, W)).astype(np.int32)
     shift = rng.normal(0, spread, (H, W, 2)).astype(np.float32)
-    colours = Colours(*(rng.random((n, 4)).astype(np.float32) for n in (W, W, H, H))) if border else None
-    if border:
-        colours[0][3] = 0.0  # nothing to continue
-    return radiance, weight, label, shift, colours
+    radiance[0, 3] = 0.0  # nothing to draw
+    limit = np.full((1, 1), 0.6, np.float32) if border else NOTHING
+    return radiance, weight, label, shift, limit
 
 
 def naive(samples):
     """Sum the bilinear parts of every splat that reaches the frame, of pixels within and far beyond it."""
     total = {}
-    for radiance, weight, label, shift, colours in samples:
-        far = 40 if colours else 0
+    for radiance, weight, label, shift, limit in samples:
+        far = 40 if len(limit) else 0
         for down in range(-far, H + far):
             for right in range(-far, W + far):
                 row, col = min(max(down, 0), H - 1), min(max(right, 0), W - 1)
                 if label[row, col] < 0:
                     continue
-                colour = radiance[row, col]
-                if down != row:
-                    colour = colours[0 if down < 0 else 1][col]
-                elif right != col:
-                    colour = colours[2 if right < 0 else 3][row]
+                colour = radiance[row, col].copy()
+                if down != row or right != col:
+                    colour[:3] *= min(1.0, limit[0, 0] * colour[3] / max(colour[:3].max(), 1e-9))
                 variant = label[row, col] % N_VARIANTS
                 place = shift[row, col, ::-1].astype(np.float64)
                 place = np.rint(place) if WIDE[variant] else np.rint(place * 16) / 16
@@ -108,17 +105,17 @@ def test_sums_are_the_same_for_any_number_of_threads():
 
 
 def test_nothing_to_draw_gives_nothing():
-    radiance, weight, label, shift, colours = make_samples(np.random.default_rng(7), border=True)
-    assert pooled([(radiance, weight, np.full_like(label, -1), shift, colours)]) == []
-    assert pooled([(np.zeros_like(radiance), weight, label, shift, None)]) == []
+    radiance, weight, label, shift, limit = make_samples(np.random.default_rng(7), border=True)
+    assert pooled([(radiance, weight, np.full_like(label, -1), shift, limit)]) == []
+    assert pooled([(np.zeros_like(radiance), weight, label, shift, NOTHING)]) == []
     assert pooled([]) == []
 
 
 def test_no_weights_are_weights_of_one():
-    radiance, weight, label, shift, colours = make_samples(np.random.default_rng(8), border=True)
-    plain = pooled([(radiance, np.ones_like(weight), label, shift, colours)])[0]
+    radiance, weight, label, shift, limit = make_samples(np.random.default_rng(8), border=True)
+    plain = pooled([(radiance, np.ones_like(weight), label, shift, limit)])[0]
     assert np.array_equal(
-        pooled([(radiance, np.zeros((0, 0), np.float32), label, shift, colours)])[0].radiance, plain.radiance
+        pooled([(radiance, np.zeros((0, 0), np.float32), label, shift, limit)])[0].radiance, plain.radiance
     )
 
 
@@ -126,14 +123,14 @@ def test_no_weights_are_weights_of_one():
 def test_a_list_of_pixels_is_drawn_as_the_frame_s_pixels_are(border):
     """In whatever order, and whatever shape the list has."""
     rng = np.random.default_rng(9)
-    radiance, weight, label, shift, colours = make_samples(rng, border=border)
+    radiance, weight, label, shift, limit = make_samples(rng, border=border)
     order = rng.permutation(H * W)
     at = np.stack(np.divmod(order, W), axis=-1).astype(np.int32).reshape(2, -1, 2)
     radiance, weight, label, shift = (
         each.reshape(H * W, *each.shape[2:])[order].reshape(2, -1, *each.shape[2:])
         for each in (radiance, weight, label, shift)
     )
-    listed = place_pixels(radiance, weight, label, shift, at, WIDE, colours)
+    listed = place_pixels(radiance, weight, label, shift, at, WIDE, limit)
     found = as_dict(pool([listed], (H, W), REACHES, N_LAYERS))
     wanted = naive([make_samples(np.random.default_rng(9), border=border)])
     assert found.keys() == wanted.keys()
