@@ -206,7 +206,7 @@ class _KernelCache(FunctionCache):
         except (EOFError, pickle.UnpicklingError, AttributeError, ImportError):
             # It is damaged, or tells of types that this version does not have: what is kept from now on is listed anew.
             with suppress(OSError):
-                self._cache_file.flush()
+                self._cache_file.flush()  # type: ignore[no-untyped-call]
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

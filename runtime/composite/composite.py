@@ -11,8 +11,10 @@ from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
 from spreadlets.scans import count_alphas
 
-LEAST_SEEN = 0.3
-"""Share of a pixel that must have been seen for it to stand for itself; what is missing to this is filled."""
+LEAST_SEEN = 0.98, 4.0
+"""Share of a pixel that must have been seen for it to stand for itself, all but rounding; and how much, in pixels, of one
+of a coarser level. What is missing to this is filled: the little that was seen of a pixel is no more likely all over it
+than what was seen around."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
 FAR_OFF = 0x155555
@@ -29,7 +31,7 @@ def add_layer(
     kind: int,
     *,
     seen: Image = NOTHING,
-    least: float = LEAST_SEEN,
+    least: tuple[float, float] = LEAST_SEEN,
     corner: tuple[int, int] = (0, 0),
 ) -> None:
     """Normalise a layer and put it behind an image, in place.
@@ -56,13 +58,13 @@ def add_layer(
         Row and column, in the image, of the canvas's first pixel.
     kind : int
     seen : ndarray of shape (H, W), float32
-    least : float
-        Measure from which a pixel stands for itself.
+    least : tuple of two floats
+        Measures from which a pixel, and one of a coarser level, stand for themselves.
     corner : tuple of two ints
         Row and column of the image's first pixel, counted from the picture's centre: the pyramid divides the picture,
         whatever part of it the image holds.
     """
-    bound = np.float32(least)
+    bound, bound_of_levels = map(np.float32, least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
     if not any(for_bands(_fill_kernels.is_unseen, len(image), *sums, bound, shape)):
         for_bands(_fill_kernels.add_layer, len(image), image, *sums)
@@ -77,7 +79,7 @@ def add_layer(
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
-        for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound)
+        for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound_of_levels)
     for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], odds[0], bound)
 
 
