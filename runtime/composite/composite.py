@@ -12,9 +12,9 @@ from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, RE
 from spreadlets.scans import count_alphas
 
 LEAST_SEEN = 0.98, 4.0
-"""Share of a pixel that must have been seen for it to stand for itself, all but rounding; and how much, in pixels, of one
-of a coarser level. What is missing to this is filled: the little that was seen of a pixel is no more likely all over it
-than what was seen around."""
+"""Share of a pixel that must have been seen for it to stand for itself, all but rounding; and how much of one of a
+coarser level, in pixels. What is missing to this is filled: the little that was seen of a pixel is no more likely all
+over it than what was seen around."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
 FAR_OFF = 0x155555
