@@ -22,7 +22,7 @@ from spreadlets.scans import count_alphas
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
-LEAST_GAP = 1.0
+LEAST_GAP = 0.7
 """Difference of CoC radii, px, from which two surfaces are worth telling apart."""
 SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""

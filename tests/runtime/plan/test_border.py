@@ -41,9 +41,7 @@ def test_a_lamp_on_the_border_is_dimmed_beyond_it_in_its_own_hue():
     radiance[0, 30, :3] = 400.0, 200.0, 100.0
     found = extended(radiance, np.zeros((64, 64), np.int32), [4])
     above = found.radiance[-found.origin[0] - 1, 30 - found.origin[1]]
-    assert (
-        above[0] < 1.5 and above[:3] / above[0] == pytest.approx([1.0, 0.5, 0.25]) and above[3] == 1
-    )
+    assert above[0] < 1.5 and above[:3] / above[0] == pytest.approx([1.0, 0.5, 0.25]) and above[3] == 1
     np.testing.assert_array_equal(found.radiance[-found.origin[0], 30 - found.origin[1]], radiance[0, 30])
 
 
