@@ -9,7 +9,7 @@ from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, BLUR, COLOUR, L
 
 EXACT = 16.0
 """Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
-LEAST_GAP = 0.6
+LEAST_GAP = 0.1
 """Width of gaps, in the blur of what lies around, from which its texture shows in them; narrower ones that fills."""
 FAR_BLUR = 2.0
 """How far a layer's blur may reach, in its mean one: a few pixels far out of focus do not widen what is looked up."""
