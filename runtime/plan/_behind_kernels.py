@@ -201,7 +201,7 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
 
 
 @helper
-def _evened(light):
+def evened(light):
     """Return the fourth root of light: to a mean of such, a lamp hardly adds."""
     return math.sqrt(math.sqrt(light))
 
@@ -231,7 +231,7 @@ def sum_light(begin, end, features, corner, wanted, light):
                     cover = np.float64(features[i, j, ALPHA])
                     if cover > 0.0:
                         brightest = max(features[i, j, 0], features[i, j, 1], features[i, j, 2], np.float32(0.0))
-                        sums[0] += cover * _evened(brightest / cover)
+                        sums[0] += cover * evened(brightest / cover)
                         sums[1] += cover
 
 

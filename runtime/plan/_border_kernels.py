@@ -1,6 +1,5 @@
 """Compiled kernels that continue a frame beyond its border."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import load, multiply, store
+from spreadlets.runtime.plan._behind_kernels import evened
 
 _U = np.uint64
 BLOCK = 16
@@ -29,8 +29,6 @@ class Weighted(NamedTuple):
 def sum_light(begin, end, radiance, light):
     """Fill ``light`` (h, w, 2), float64, with the sums of evened light and of alpha in blocks.
 
-    A mean of fourth roots hardly changes with a lamp, and tells bright from dark where both are.
-
     Parameters
     ----------
     radiance : ndarray of shape (H, W, 4), float32
@@ -43,7 +41,7 @@ def sum_light(begin, end, radiance, light):
                 brightest = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
                 alpha = np.float64(radiance[row, col, 3])
                 if alpha > 0.0 and brightest > 0.0:
-                    light[block, col // BLOCK, 0] += alpha * math.sqrt(math.sqrt(brightest / alpha))
+                    light[block, col // BLOCK, 0] += alpha * evened(brightest / alpha)
                 light[block, col // BLOCK, 1] += alpha
 
 
@@ -57,14 +55,15 @@ def limit_light(begin, end, light, limit):
                 for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
                     total += light[k, m, 0]
                     cover += light[k, m, 1]
-            limit[block, across] = BRIGHTEST * (total / cover) ** 4 if cover > 0.0 else 0.0
+            # Where nothing covers anything, there is but light that is added to what lies behind.
+            limit[block, across] = BRIGHTEST * (total / cover) ** 4 if cover > 0.0 else np.inf
 
 
 @helper
 def dimming(radiance, i, j, limit, row, col):
     """Return the factor by which the light of a pixel, at (row, col) on the border, is dimmed beyond it."""
     brightest = max(radiance[i, j, 0], radiance[i, j, 1], radiance[i, j, 2])
-    most = limit[row // BLOCK, col // BLOCK] * radiance[i, j, 3]
+    most = limit[row // BLOCK, col // BLOCK]
     return most / brightest if brightest > most else np.float32(1.0)
 
 

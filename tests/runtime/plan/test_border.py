@@ -48,3 +48,10 @@ def test_a_lamp_on_the_border_is_dimmed_beyond_it_in_its_own_hue():
 def test_without_a_limit_the_frame_ends_at_its_border():
     radiance, label = np.ones((8, 8, 4), np.float32), np.zeros((8, 8), np.int32)
     assert extended(radiance, label, [4], NOTHING).label is label
+
+
+def test_light_that_covers_nothing_goes_on_too():
+    radiance = np.zeros((16, 16, 4), np.float32)
+    radiance[..., :3] = 5.0
+    found = extended(radiance, np.zeros((16, 16), np.int32), [4])
+    assert (found.radiance[found.label >= 0] == (5.0, 5.0, 5.0, 0.0)).all() and (found.label >= 0).sum() == 24 * 24

@@ -33,7 +33,7 @@ def naive(samples):
                     continue
                 colour = radiance[row, col].copy()
                 if down != row or right != col:
-                    colour[:3] *= min(1.0, limit[0, 0] * colour[3] / max(colour[:3].max(), 1e-9))
+                    colour[:3] *= min(1.0, limit[0, 0] / max(colour[:3].max(), 1e-9))
                 variant = label[row, col] % N_VARIANTS
                 place = shift[row, col, ::-1].astype(np.float64)
                 place = np.rint(place) if WIDE[variant] else np.rint(place * 16) / 16
