@@ -9,7 +9,6 @@ import numpy as np
 from spreadlets import _scan_kernels
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
-from spreadlets.remembered import Remembered
 
 
 class Alphas(NamedTuple):
@@ -36,7 +35,6 @@ def holds_anything(array: FloatArray) -> bool:
     return any(for_bands(_scan_kernels.holds_anything, len(rows), rows))
 
 
-@Remembered
 def count_alphas(radiance: Image) -> Alphas:
     """Return how many pixels of colours (H, W, 4) are transparent, in part so, and opaque."""
     counts = np.empty((len(radiance), 3), np.int64)

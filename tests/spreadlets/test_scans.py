@@ -22,6 +22,9 @@ def test_alphas_are_counted():
     radiance = np.ones((*SHAPE, 4), np.float32)
     radiance[3, :7, 3], radiance[40:, 0, 3] = 0.0, 0.5
     assert count_alphas(radiance) == (7, 10, 1500 - 17)
+    # A frame holds the array that it was given, which may change before the next one is made of it.
+    radiance[0, 10, 3] = 0.25
+    assert count_alphas(radiance) == (7, 11, 1500 - 18)
 
 
 @pytest.mark.interpreted
