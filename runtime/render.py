@@ -17,7 +17,13 @@ from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
-from spreadlets.runtime.composite.visibility import PassingSamples, ShareBeyond, Visibility
+from spreadlets.runtime.composite.visibility import (
+    GivenLayer,
+    PassingSamples,
+    ShareBeyond,
+    Visibility,
+    overlap_of_layers,
+)
 from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
@@ -188,7 +194,9 @@ def _drawn_by_depth(
         first, *others = divided.pixel_sets
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)
         plans = [plan, *(plan.coloured(each) for each in others)]
-        visibility = ShareBeyond(first, plan, divided.known, divided.n_hidden) if plan.n_layers > 1 else None
+        visibility = (
+            ShareBeyond(first, plan, divided.known, divided.n_hidden, closed=closed) if plan.n_layers > 1 else None
+        )
         # What the pixels were labelled with is not needed any more.
         del divided, first, others
     # Draw all frames by that plan.
@@ -219,6 +227,7 @@ def _drawn_in_layers(
             ]
             for layers in shown
         ]
+        overlap = overlap_of_layers(given[0], closed=closed) if options.layers is None else None
     if options.layers is not None:
         given = [[[pixels for group in groups for pixels in group]] for groups in given]
     images = [np.zeros((*shown[0][0].shape, 4), np.float32) for _ in shown]
@@ -228,7 +237,8 @@ def _drawn_in_layers(
             plans = [plan, *(plan.coloured(each) for each in others)]
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             last = closed and number == len(given[0]) - 1
-        _add_plans(images, plans, None, options, clock, tally, closed=last)
+        visibility = GivenLayer(number, overlap)
+        _add_plans(images, plans, visibility, options, clock, tally, closed=last)
     return images
 
 
@@ -382,9 +392,11 @@ def _add_plan(
             kind = LAST if last else COVERAGE if visibility is None else visibility.kind
             least = LEAST_SEEN if visibility is None else visibility.least
             seen = NOTHING if seen is None else seen
-            add_layer(image, padded, (canvas.top, canvas.left), kind, seen=seen, least=least, corner=plan.corner)
+            beyond = NOTHING if visibility is None or last else visibility.beyond(number)
+            placed = (canvas.top, canvas.left), kind
+            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=plan.corner)
             # The next layer is drawn where this one was.
-            del padded, seen
+            del padded, seen, beyond
         tally.add_canvas(covered, image.shape)
     tally.add_plan(plan, len(used))
 

@@ -12,6 +12,8 @@ alone."""
 NONE = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
 """The sums of a pixel outside the canvas."""
 _U = np.uint64
+LEAST_ALPHA = np.float32(1e-3)
+"""Alpha of a layer up to which nothing is seen of it."""
 
 SOLVER_ERROR = np.float32(0.005)
 """Measure, of a pixel's 1, up to which sums may be errors of the Poisson solver and the spreadlets' far fields."""
@@ -53,9 +55,11 @@ def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
 
 
 @helper
-def _blend(image, row, col, red, green, blue, alpha, opaque):
-    """Put a premultiplied colour behind a pixel."""
+def _blend(image, row, col, red, green, blue, alpha, opaque, beyond):
+    """Put a premultiplied colour behind a pixel, ``beyond`` more of it than the pixel leaves to be seen in the mean."""
     left = np.float32(1.0) - image[row, col, 3]
+    if beyond != np.float32(0.0) and not opaque and alpha > LEAST_ALPHA:
+        left = min(max(left + beyond / alpha, np.float32(0.0)), left / alpha)
     image[row, col, 0] += left * red
     image[row, col, 1] += left * green
     image[row, col, 2] += left * blue
@@ -63,13 +67,15 @@ def _blend(image, row, col, red, green, blue, alpha, opaque):
 
 
 @kernel
-def add_layer(begin, end, image, padded, top, left, seen, kind):
+def add_layer(begin, end, image, beyond, padded, top, left, seen, kind):
     """Divide a layer by its measure and put it behind an image.
 
     Parameters
     ----------
     image : ndarray of shape (H, W, 4), float32
         Premultiplied colour and alpha of nearer layers; changed in place.
+    beyond : ndarray of shape (H, W) or (0, 0), float32
+        How much more is seen of the layer than these leave in the mean, see `runtime.composite.overlap`.
     padded : ndarray of shape (rows, cols, 4), float32
         Sums of the layer's splats.
     top, left : int
@@ -90,7 +96,8 @@ def add_layer(begin, end, image, padded, top, left, seen, kind):
             scale = one / _measure(weight, seen[row, col] if seen.shape[0] else one, kind)
             alpha = max(weight * scale, np.float32(0.0))
             r, g, b = padded[i, j, 0] * scale, padded[i, j, 1] * scale, padded[i, j, 2] * scale
-            _blend(image, row, col, r, g, b, alpha, kind == LAST)
+            more = beyond[row, col] if beyond.shape[0] else np.float32(0.0)
+            _blend(image, row, col, r, g, b, alpha, kind == LAST, more)
 
 
 @kernel
@@ -198,7 +205,7 @@ def push(begin, end, fine, coarse, odd, least):
 
 
 @kernel
-def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, odd, least):
+def add_filled(begin, end, image, beyond, padded, top, left, seen, kind, coarse, odd, least):
     """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
     rows, cols = padded.shape[:2]
     sums, around = padded.reshape(padded.size), coarse.reshape(coarse.size)
@@ -222,4 +229,5 @@ def add_filled(begin, end, image, padded, top, left, seen, kind, coarse, odd, le
                 colour, _ = _interpolate(around, coarse.shape, row + odd[0], col + odd[1])
                 each = add(each, multiply((missing, missing, missing, missing), colour))
             # Put the layer behind the image.
-            _blend(image, row, col, each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST)
+            more = beyond[row, col] if beyond.shape[0] else zero
+            _blend(image, row, col, each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST, more)

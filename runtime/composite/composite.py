@@ -31,6 +31,7 @@ def add_layer(
     kind: int,
     *,
     seen: Image = NOTHING,
+    beyond: Image = NOTHING,
     least: tuple[float, float] = LEAST_SEEN,
     corner: tuple[int, int] = (0, 0),
 ) -> None:
@@ -58,6 +59,8 @@ def add_layer(
         Row and column, in the image, of the canvas's first pixel.
     kind : int
     seen : ndarray of shape (H, W), float32
+    beyond : ndarray of shape (H, W), float32
+        How much more is seen of the layer than the image leaves in the mean, see `runtime.composite.overlap`.
     least : tuple of two floats
         Measures from which a pixel, and one of a coarser level, stand for themselves.
     corner : tuple of two ints
@@ -67,7 +70,7 @@ def add_layer(
     bound, bound_of_levels = map(np.float32, least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
     if not any(for_bands(_fill_kernels.is_unseen, len(image), *sums, bound, shape)):
-        for_bands(_fill_kernels.add_layer, len(image), image, *sums)
+        for_bands(_fill_kernels.add_layer, len(image), image, beyond, *sums)
         return
     odds = [_odd(corner, 0)]
     levels = [_half_size(image, odds[0])]
@@ -80,7 +83,7 @@ def add_layer(
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
         for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound_of_levels)
-    for_bands(_fill_kernels.add_filled, len(image), image, *sums, levels[0], odds[0], bound)
+    for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound)
 
 
 def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
-from spreadlets.runtime.composite.composite import COUNT, LEAST_SEEN, REST
+from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
+from spreadlets.runtime.composite.layers import CoverPart, Moments
+from spreadlets.runtime.composite.overlap import Overlap, find_overlap
+from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.sampled import sample_pixels
-from spreadlets.runtime.plan.layering import BEHIND_ALL
+from spreadlets.runtime.plan.layering import BEHIND_ALL, Membership
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
@@ -33,12 +36,22 @@ class ShareBeyond:
         Bits of the layers in which each pixel is known, see `runtime.plan.behind.Behind`.
     n_hidden : int
         Lists, at the end, of hidden pixels.
+    closed : bool
+        Whether the last layer is opaque.
     """
 
     kind = REST
     least = LEAST_SEEN
 
-    def __init__(self, pixel_sets: Sequence[Pixels], plan: Plan, known: npt.NDArray[np.uint64], n_hidden: int) -> None:
+    def __init__(
+        self,
+        pixel_sets: Sequence[Pixels],
+        plan: Plan,
+        known: npt.NDArray[np.uint64],
+        n_hidden: int,
+        *,
+        closed: bool,
+    ) -> None:
         covers = [layers.cover_part(*each) for each in zip(plan.members, pixel_sets, strict=True)]
         n_seen = len(covers) - n_hidden
         self.cover = layers.Cover(covers[0], covers[1:n_seen], covers[n_seen:], known)
@@ -46,11 +59,68 @@ class ShareBeyond:
             [(each, each.labels.whole_path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,
         )
+        frame = self.cover.frame, pixel_sets[0].labels
+        self._overlap = find_overlap([frame], *self.cover[1:], self.moments, closed=closed)
+
+    def beyond(self, number: int) -> Image:
+        """Return how much more is seen of a layer than nearer ones leave in the mean, see `find_overlap`."""
+        return NOTHING if self._overlap is None else self._overlap.of(number)
 
     def seen(self, number: int) -> Image | None:
         """Return the share beyond a layer of what it leaves, all blurred as the layer is."""
         moments = self.moments[number]
         return None if moments is None else layers.share_beyond(self.cover, number, moments)
+
+
+class GivenLayer:
+    """A layer of a frame that comes in layers: nothing of it was hidden.
+
+    Parameters
+    ----------
+    number : int
+        Of the layer, the nearest is 0.
+    overlap : Overlap or None
+        Of all layers, see `overlap_of_layers`.
+    """
+
+    kind = COVERAGE
+    least = LEAST_SEEN
+
+    def __init__(self, number: int, overlap: Overlap | None) -> None:
+        self._number, self._overlap = number, overlap
+
+    def seen(self, number: int) -> Image | None:
+        """Return nothing to measure by: all of it was seen."""
+        return None
+
+    def beyond(self, number: int) -> Image:
+        """Return how much more is seen of the layer than nearer ones leave in the mean."""
+        return NOTHING if self._overlap is None else self._overlap.of(self._number)
+
+
+def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Overlap | None:
+    """Find how the layers of a frame overlap that comes in such, by the sets of pixels of each; see `find_overlap`."""
+    frames, lists, moments = list[tuple[CoverPart, Labels]](), list[CoverPart](), list[Moments | None]()
+    for number, group in enumerate(groups):
+        for pixels in group:
+            shape = pixels.labels.coc.shape
+            part = CoverPart(
+                pixels.radiance[..., 3] * (pixels.weight if pixels.weight.size else np.float32(1.0)),
+                np.full(shape, number, np.float32),
+                None if pixels.labels.view.places is None else pixels.labels.view.places.at,
+            )
+            if part.at is None:
+                frames.append((part, pixels.labels))
+            else:
+                lists.append(part)
+        whole = [
+            Membership(np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape, np.float32))
+            for shape in (each.labels.coc.shape for each in group)
+        ]
+        given = [(each, each.labels.whole_path, own) for each, own in zip(group, whole, strict=True)]
+        moments += layers.layer_moments(given, 1)
+    known = np.full(frames[0][0].cover.shape, ~np.uint64(0))
+    return find_overlap(frames, lists, [], known, moments, closed=closed)
 
 
 class PassingSamples:
@@ -107,6 +177,10 @@ class PassingSamples:
             [(each, path, m) for each, path, m in zip(pixel_sets, motion, self.members, strict=True)], n_layers
         )
 
+    def beyond(self, number: int) -> Image:
+        """Return nothing: what passed is counted together already."""
+        return NOTHING
+
     def seen(self, number: int) -> Image | None:
         """Return the number of samples that passed a layer."""
         moments = self.moments[number]
@@ -124,4 +198,4 @@ class PassingSamples:
         )
 
 
-Visibility = ShareBeyond | PassingSamples
+Visibility = ShareBeyond | GivenLayer | PassingSamples

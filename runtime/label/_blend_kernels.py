@@ -19,6 +19,8 @@ NOTHING_REACH = 4
 """The same for a pixel with nothing in it: half a filter from the edge of a thing half a filter thick."""
 CLEAR_ALPHA = 0.1
 """Alpha from which a pixel's depth tells that of its surface when nothing is behind it."""
+MISSED_REACH = 16
+"""How far, px, the surface is looked for of a pixel that shows a part of one while its depth is that of nothing."""
 
 
 @helper
@@ -155,6 +157,45 @@ def take_nothing_out(begin, end, depth, alpha, surface):
             if CLEAR_ALPHA <= part < 1.0:
                 behind = _depth_of_nothing(depth, alpha, row, col)
                 surface[row, col] = (depth[row, col] - (1.0 - part) * behind) / part
+
+
+@kernel
+def find_missed(begin, end, depth, alpha, nothing, source):
+    """Find the surfaces of pixels that show a part of one, while the sample of their depth has missed it.
+
+    Parameters
+    ----------
+    depth, alpha : ndarray of shape (H, W), float32
+    nothing : float32
+        Depth of what is empty.
+    source : ndarray of shape (H, W, 2), int32
+        Filled with row and column of the pixel that tells a pixel's labels: the nearest one of a surface.
+
+    Returns
+    -------
+    bool
+        Whether there are such pixels.
+    """
+    height, width = depth.shape
+    found = False
+    for row in range(begin, end):
+        for col in range(width):
+            source[row, col, 0], source[row, col, 1] = row, col
+            if not 0.0 < alpha[row, col] < 1.0 or depth[row, col] != nothing:
+                continue
+            # Look around it, farther and farther, until nothing beyond can be nearer.
+            best, reach = MISSED_REACH * MISSED_REACH + 1, 1
+            while reach * reach < best:
+                for i in range(max(row - reach, 0), min(row + reach + 1, height)):
+                    step = 1 if abs(i - row) == reach else 2 * reach
+                    for j in range(col - reach, col + reach + 1, step):
+                        away = (i - row) ** 2 + (j - col) ** 2
+                        if not 0 <= j < width or away >= best or alpha[i, j] == 0.0:
+                            continue
+                        if depth[i, j] != nothing or alpha[i, j] == 1.0:
+                            source[row, col, 0], source[row, col, 1], best, found = i, j, away, True
+                reach += 1
+    return found
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -28,6 +29,8 @@ SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
+EMPTY_PIXELS = 1 << 16
+"""About so many pixels are looked at to find the depth of nothing."""
 NOISE_SHARE = 0.1
 """Share of the pixels without any of their surface beside them, from which depth is noise: a frame full of leaves has
 .01, one full of hair .02 to .08, depths drawn at random between radii of 8 and 16 px .13."""
@@ -274,7 +277,8 @@ def without_nothing(layer: Layer) -> Layer:
     """Return a layer in which what covers a part of a pixel, with nothing behind, has the depth of its own.
 
     Where depth is filtered, and a surface ends before nothing, its depth is mixed with whatever stands for nothing. As
-    alpha is filtered alike, it tells how.
+    alpha is filtered alike, it tells how. Where depths are point samples, some have missed the surface; its own are
+    those of the nearest pixel that shows it.
     """
     count = count_alphas(layer.radiance)
     if not (count.nothing and count.part):
@@ -285,10 +289,19 @@ def without_nothing(layer: Layer) -> Layer:
     counts = np.empty((height, 2), np.int64)
     for_bands(_blend_kernels.count_element_depths, height, layer.depth, surface, counts)
     if counts[:, 1].sum() <= counts[:, 0].sum():
-        return layer
+        source = np.empty((*layer.shape, 2), np.int32)
+        missed = for_bands(_blend_kernels.find_missed, height, layer.depth, alpha, _depth_of_nothing(layer), source)
+        return _surface(layer, layer.radiance, source) if any(missed) else layer
     source, depth = np.empty((*layer.shape, 2), np.int32), np.empty_like(alpha)
     for_bands(_blend_kernels.mend_element, height, layer.depth, alpha, surface, source, depth)
     return replace(_surface(layer, layer.radiance, source), depth=depth)
+
+
+def _depth_of_nothing(layer: Layer) -> np.float32:
+    """Return the depth that most of the empty pixels of a layer have."""
+    step = max(1, math.isqrt(layer.depth.size // EMPTY_PIXELS))
+    empty = layer.depth[::step, ::step][layer.radiance[::step, ::step, 3] == 0.0]
+    return np.float32(np.quantile(empty, 0.5, method="lower")) if len(empty) else np.float32(np.nan)
 
 
 def without_filter(layer: Layer, place: Image) -> tuple[Layer, Image]:

@@ -1,0 +1,287 @@
+"""Compiled kernels of the overlap of layers, looked at through points of lens and shutter."""
+
+import numpy as np
+
+from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._vector_kernels import add, load, multiply, store
+
+CELL = 2
+"""Side of the cells that covers are looked at in, px: what is finer, no blur shows."""
+TILE = 16
+"""Side of the tiles that are looked at at once, in cells; each layer has one blur in each."""
+MOMENTS = 4
+"""What is summed up of each layer in each tile: cover, and cover times CoC and path."""
+LEAST_CHANGE = np.float32(0.02)
+"""By how much the cover of a layer must change around a tile: what is even hides all that lies beyond it alike."""
+_U = np.uint64
+
+
+@helper
+def _add_cover(own, place, bits, row, col, covers, unknown):
+    """Add what a pixel covers to the sums of its cell; where it hides a farther layer, that is unknown there."""
+    number = int(place)
+    farther = place - np.float32(number)
+    for part in range(2):
+        share = own * (farther if part else np.float32(1.0) - farther)
+        if share <= 0.0:
+            continue
+        covers[number + part, row, col] += share
+        for beyond in range(number + part + 1, covers.shape[0]):
+            if not (bits >> np.uint64(beyond)) & np.uint64(1):
+                unknown[beyond, row, col] += share
+
+
+@helper
+def _add_moments(own, place, coc, path, moments):
+    """Add how a pixel blurs to the sums (n_layers, MOMENTS) of its tile."""
+    number = int(place)
+    farther = place - np.float32(number)
+    for part in range(2):
+        share = own * (farther if part else np.float32(1.0) - farther)
+        if share > 0.0:
+            each = moments[number + part]
+            each[0] += share
+            each[1] += share * coc
+            each[2] += share * path[0]
+            each[3] += share * path[1]
+
+
+@kernel
+def enter_frame(begin, end, cover, place, coc, path, known, corner, covers, unknown, moments):
+    """Sum up what the pixels of a frame cover, in cells, and how they blur, in tiles.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rows of tiles.
+    cover, place : ndarray of shape (H, W), float32
+        See `runtime.composite._visibility_kernels.cover_planes`.
+    coc, path : ndarray of shapes (H, W) and (H, W, 2), float32
+        CoC radius and path, px.
+    known : ndarray of shape (H, W), uint64
+        Bits of the layers in which all of each pixel is known.
+    corner : tuple of two ints
+        Row and column of the frame's first pixel, counted from a pixel that tiles begin at; not negative.
+    covers, unknown : ndarray of shape (n_layers, h, w), float32
+        Sums of what each layer covers, and of what nearer ones hide of it; changed.
+    moments : ndarray of shape (h / TILE, w / TILE, n_layers, MOMENTS), float32
+        Changed.
+    """
+    down, left, side = corner[0], corner[1], CELL * TILE
+    for tile in range(begin, end):
+        for row in range(max(tile * side - down, 0), min((tile + 1) * side - down, cover.shape[0])):
+            i = (row + down) // CELL
+            for col in range(cover.shape[1]):
+                own = cover[row, col]
+                if own > 0.0:
+                    _add_cover(own, place[row, col], known[row, col], i, (col + left) // CELL, covers, unknown)
+                    sums = moments[tile, (col + left) // side]
+                    _add_moments(own, place[row, col], coc[row, col], path[row, col], sums)
+
+
+@kernel
+def enter_list(cover, place, at, known, corner, hidden, covers, unknown):
+    """Sum up what the pixels of a list cover.
+
+    Parameters
+    ----------
+    cover, place : ndarray of shape (h, w), float32
+    at : ndarray of shape (h, w, 2), int32
+        Their rows and columns in the frame.
+    hidden : bool
+        Whether they lie hidden: then they hide nothing more.
+    known, corner, covers, unknown
+        See `enter_frame`.
+    """
+    for i in range(cover.shape[0]):
+        for j in range(cover.shape[1]):
+            own = cover[i, j]
+            if own > 0.0:
+                row, col = at[i, j, 0], at[i, j, 1]
+                bits = ~np.uint64(0) if hidden else known[row, col]
+                _add_cover(
+                    own, place[i, j], bits, (row + corner[0]) // CELL, (col + corner[1]) // CELL, covers, unknown
+                )
+
+
+@kernel
+def make_shares(begin, end, corner, shape, covers, unknown):
+    """Divide the sums of rows of cells by their pixels, within 0 and 1, and make of what is unknown what is known.
+
+    ``shape`` is that of the frame; other arguments as for `enter_frame`.
+    """
+    one = np.float32(1.0)
+    for i in range(begin, end):
+        rows = min((i + 1) * CELL - corner[0], shape[0]) - max(i * CELL - corner[0], 0)
+        for number in range(covers.shape[0]):
+            for j in range(covers.shape[2]):
+                cols = min((j + 1) * CELL - corner[1], shape[1]) - max(j * CELL - corner[1], 0)
+                scale = one / np.float32(max(rows * cols, 1))
+                covers[number, i, j] = min(scale * covers[number, i, j], one)
+                unknown[number, i, j] = one - min(scale * unknown[number, i, j], one - covers[number, i, j])
+
+
+@kernel
+def fill_unknown(begin, end, cover, known, mean, mean_known, prior, padding, filled):
+    """Let what is unknown of a layer be covered as what was seen around it, and repeat the cells at the border.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rows, without padding.
+    cover, known : ndarray of shape (h, w), float32
+        What the layer covers, and the share of each cell of which that is known.
+    mean, mean_known : ndarray of shape (h, w), float32
+        The same, means around each cell.
+    prior : tuple of two float32
+        Added to both, cover and what was seen: the layer's own in the mean, small beside what was seen nearby.
+    padding : int
+        Cells around those of the frame.
+    filled : ndarray of shape (h + 2 padding, w + 2 padding), float32
+        Filled.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    width, last = cover.shape[1], cover.shape[0] - 1
+    for i in range(begin, end):
+        # Fill the row, and repeat its ends.
+        out = filled[padding + i]
+        for j in range(width):
+            around = (max(mean[i, j], zero) + prior[0]) / (max(mean_known[i, j], zero) + prior[1])
+            out[padding + j] = min(cover[i, j] + (one - known[i, j]) * around, one)
+        out[:padding] = out[padding]
+        out[padding + width :] = out[padding + width - 1]
+        # Repeat the first and the last row.
+        if i == 0:
+            for k in range(padding):
+                filled[k] = out
+        if i == last:
+            for k in range(padding):
+                filled[padding + i + 1 + k] = out
+
+
+@kernel
+def cover_range(begin, end, padding, covers, low, high):
+    """Fill ``low`` and ``high`` (h / TILE, w / TILE, n_layers), float32, with the range of covers in each tile."""
+    height, width = covers.shape[1] - 2 * padding, covers.shape[2] - 2 * padding
+    for tile in range(begin, end):
+        low[tile], high[tile] = np.float32(1.0), np.float32(0.0)
+        for number in range(covers.shape[0]):
+            for i in range(tile * TILE, min((tile + 1) * TILE, height)):
+                for j in range(width):
+                    each = covers[number, padding + i, padding + j]
+                    low[tile, j // TILE, number] = min(low[tile, j // TILE, number], each)
+                    high[tile, j // TILE, number] = max(high[tile, j // TILE, number], each)
+
+
+@helper
+def _splat4(value):
+    return value, value, value, value
+
+
+@helper
+def _look_through(plane, corner, weights, passing, joint, mean):
+    """Add what a layer shows of a tile through one point of lens and shutter, and hide it from those beyond.
+
+    Parameters
+    ----------
+    plane : ndarray of shape (h, w), float32
+        What the layer covers.
+    corner : tuple of two ints
+        Where in it the tile's first cell is seen.
+    weights : tuple of four float32
+        Of the four cells that each one is interpolated from.
+    passing : ndarray of shape (TILE * TILE,), float32
+        What passes all nearer layers; changed.
+    joint, mean : ndarray of shape (TILE * TILE,), float32
+        Sums of what is seen of the layer, and of what it covers.
+    """
+    flat, width = plane.reshape(plane.size), plane.shape[1]
+    a, b, c, d = _splat4(weights[0]), _splat4(weights[1]), _splat4(weights[2]), _splat4(weights[3])
+    minus = _splat4(np.float32(-1.0))
+    for i in range(TILE):
+        start = (corner[0] + i) * width + corner[1]
+        for j in range(0, TILE, 4):
+            here, below, place = _U(start + j), _U(start + j + width), _U(i * TILE + j)
+            upper = add(multiply(a, load(flat, here)), multiply(b, load(flat, here + _U(1))))
+            lower = add(multiply(c, load(flat, below)), multiply(d, load(flat, below + _U(1))))
+            cover = add(upper, lower)
+            left = load(passing, place)
+            shown = multiply(left, cover)
+            store(joint, place, add(load(joint, place), shown))
+            store(mean, place, add(load(mean, place), cover))
+            store(passing, place, add(left, multiply(minus, shown)))
+
+
+@kernel
+def look_through(begin, end, points, blurs, wanted, padding, covers, covariance):
+    """Find by how much more is seen of each layer than if all blurred apart.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rows of tiles.
+    points : ndarray of shape (n, 3), float64
+        Points of the lens, in its radius, and times, in the shutter's.
+    blurs : ndarray of shape (h / TILE, w / TILE, n_layers, 3), float64
+        CoC radius and path of each layer in each tile, cells.
+    wanted : ndarray of shape (h / TILE, w / TILE), int64
+        Layers of each tile that are looked at, counted from the nearest; 0 leaves it at 0.
+    padding : int
+    covers : ndarray of shape (n_layers, h + 2 padding, w + 2 padding), float32
+        What each layer covers. It reaches a cell and a tile farther than any blur.
+    covariance : ndarray of shape (n_layers, h, w), float32
+        Filled.
+    """
+    n, size, height, width = len(points), TILE * TILE, covariance.shape[1], covariance.shape[2]
+    passing, joint, mean = (
+        np.empty(size, np.float32),
+        np.empty((len(covers), size), np.float32),
+        np.empty((len(covers), size), np.float32),
+    )
+    for tile in range(begin, end):
+        for across in range(wanted.shape[1]):
+            top, left, n_layers = tile * TILE, across * TILE, wanted[tile, across]
+            bottom, right = min(top + TILE, height), min(left + TILE, width)
+            covariance[:, top:bottom, left:right] = np.float32(0.0)
+            if not n_layers:
+                continue
+            # Through each point, see the layers one behind the other, each moved as it blurs.
+            joint[:n_layers], mean[:n_layers] = np.float32(0.0), np.float32(0.0)
+            for point in range(n):
+                passing[:] = np.float32(1.0)
+                for number in range(n_layers):
+                    coc, x, y = blurs[tile, across, number]
+                    row = padding + top - coc * points[point, 1] - y * points[point, 2]
+                    col = padding + left - coc * points[point, 0] - x * points[point, 2]
+                    i, j = int(row), int(col)
+                    down, aside = np.float32(row - i), np.float32(col - j)
+                    up, before = np.float32(1.0) - down, np.float32(1.0) - aside
+                    weights = up * before, up * aside, down * before, down * aside
+                    _look_through(covers[number], (i, j), weights, passing, joint[number], mean[number])
+            # Compare with what the means of all would show.
+            passing[:] = np.float32(1.0)
+            scale = np.float32(1.0 / n)
+            for number in range(n_layers):
+                for i in range(top, bottom):
+                    for j in range(left, right):
+                        k = (i - top) * TILE + j - left
+                        seen = scale * joint[number, k]
+                        covariance[number, i, j] = seen - passing[k] * scale * mean[number, k]
+                        passing[k] -= seen
+
+
+@kernel
+def enlarge_cells(begin, end, cells, corner, image):
+    """Fill ``image`` (H, W), float32, with ``cells`` (h, w), interpolated linearly; ``corner`` as in `enter_frame`."""
+    height, width = cells.shape
+    for row in range(begin, end):
+        y = np.float32((row + corner[0] + 0.5) / CELL - 0.5)
+        first = min(max(int(np.floor(y)), 0), height - 1)
+        below, down = min(first + 1, height - 1), min(max(y - np.float32(first), np.float32(0.0)), np.float32(1.0))
+        for col in range(image.shape[1]):
+            x = np.float32((col + corner[1] + 0.5) / CELL - 0.5)
+            left = min(max(int(np.floor(x)), 0), width - 1)
+            right, aside = min(left + 1, width - 1), min(max(x - np.float32(left), np.float32(0.0)), np.float32(1.0))
+            upper = cells[first, left] + aside * (cells[first, right] - cells[first, left])
+            lower = cells[below, left] + aside * (cells[below, right] - cells[below, left])
+            image[row, col] = upper + down * (lower - upper)
