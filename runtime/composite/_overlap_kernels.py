@@ -17,6 +17,12 @@ _U = np.uint64
 
 
 @helper
+def _cell(place, corner):
+    """Return the cell of a row or column; the first cell holds the frame's first pixel."""
+    return (place + corner) // CELL - corner // CELL
+
+
+@helper
 def _add_cover(own, place, bits, row, col, covers, unknown):
     """Add what a pixel covers to the sums of its cell; where it hides a farther layer, that is unknown there."""
     number = int(place)
@@ -70,11 +76,11 @@ def enter_frame(begin, end, cover, place, coc, path, known, corner, covers, unkn
     down, left, side = corner[0], corner[1], CELL * TILE
     for tile in range(begin, end):
         for row in range(max(tile * side - down, 0), min((tile + 1) * side - down, cover.shape[0])):
-            i = (row + down) // CELL
+            i = _cell(row, down)
             for col in range(cover.shape[1]):
                 own = cover[row, col]
                 if own > 0.0:
-                    _add_cover(own, place[row, col], known[row, col], i, (col + left) // CELL, covers, unknown)
+                    _add_cover(own, place[row, col], known[row, col], i, _cell(col, left), covers, unknown)
                     sums = moments[tile, (col + left) // side]
                     _add_moments(own, place[row, col], coc[row, col], path[row, col], sums)
 
@@ -99,9 +105,8 @@ def enter_list(cover, place, at, known, corner, hidden, covers, unknown):
             if own > 0.0:
                 row, col = at[i, j, 0], at[i, j, 1]
                 bits = ~np.uint64(0) if hidden else known[row, col]
-                _add_cover(
-                    own, place[i, j], bits, (row + corner[0]) // CELL, (col + corner[1]) // CELL, covers, unknown
-                )
+                y, x = _cell(row, corner[0]), _cell(col, corner[1])
+                _add_cover(own, place[i, j], bits, y, x, covers, unknown)
 
 
 @kernel
@@ -110,12 +115,12 @@ def make_shares(begin, end, corner, shape, covers, unknown):
 
     ``shape`` is that of the frame; other arguments as for `enter_frame`.
     """
-    one = np.float32(1.0)
+    one, down, left = np.float32(1.0), corner[0] % CELL, corner[1] % CELL
     for i in range(begin, end):
-        rows = min((i + 1) * CELL - corner[0], shape[0]) - max(i * CELL - corner[0], 0)
+        rows = min((i + 1) * CELL - down, shape[0]) - max(i * CELL - down, 0)
         for number in range(covers.shape[0]):
             for j in range(covers.shape[2]):
-                cols = min((j + 1) * CELL - corner[1], shape[1]) - max(j * CELL - corner[1], 0)
+                cols = min((j + 1) * CELL - left, shape[1]) - max(j * CELL - left, 0)
                 scale = one / np.float32(max(rows * cols, 1))
                 covers[number, i, j] = min(scale * covers[number, i, j], one)
                 unknown[number, i, j] = one - min(scale * unknown[number, i, j], one - covers[number, i, j])
@@ -160,17 +165,18 @@ def fill_unknown(begin, end, cover, known, mean, mean_known, prior, padding, fil
 
 
 @kernel
-def cover_range(begin, end, padding, covers, low, high):
+def cover_range(begin, end, corner, padding, covers, low, high):
     """Fill ``low`` and ``high`` (h / TILE, w / TILE, n_layers), float32, with the range of covers in each tile."""
+    above, before = corner[0] // CELL, corner[1] // CELL
     height, width = covers.shape[1] - 2 * padding, covers.shape[2] - 2 * padding
     for tile in range(begin, end):
         low[tile], high[tile] = np.float32(1.0), np.float32(0.0)
         for number in range(covers.shape[0]):
-            for i in range(tile * TILE, min((tile + 1) * TILE, height)):
+            for i in range(max(tile * TILE - above, 0), min((tile + 1) * TILE - above, height)):
                 for j in range(width):
-                    each = covers[number, padding + i, padding + j]
-                    low[tile, j // TILE, number] = min(low[tile, j // TILE, number], each)
-                    high[tile, j // TILE, number] = max(high[tile, j // TILE, number], each)
+                    each, across = covers[number, padding + i, padding + j], (j + before) // TILE
+                    low[tile, across, number] = min(low[tile, across, number], each)
+                    high[tile, across, number] = max(high[tile, across, number], each)
 
 
 @helper
@@ -213,7 +219,7 @@ def _look_through(plane, corner, weights, passing, joint, mean):
 
 
 @kernel
-def look_through(begin, end, points, blurs, wanted, padding, covers, covariance):
+def look_through(begin, end, points, blurs, wanted, corner, padding, covers, covariance):
     """Find by how much more is seen of each layer than if all blurred apart.
 
     Parameters
@@ -226,9 +232,10 @@ def look_through(begin, end, points, blurs, wanted, padding, covers, covariance)
         CoC radius and path of each layer in each tile, cells.
     wanted : ndarray of shape (h / TILE, w / TILE), int64
         Layers of each tile that are looked at, counted from the nearest; 0 leaves it at 0.
-    padding : int
+    corner, padding
+        See `enter_frame` and `fill_unknown`; padding reaches two cells and a tile farther than any blur.
     covers : ndarray of shape (n_layers, h + 2 padding, w + 2 padding), float32
-        What each layer covers. It reaches a cell and a tile farther than any blur.
+        What each layer covers.
     covariance : ndarray of shape (n_layers, h, w), float32
         Filled.
     """
@@ -240,9 +247,10 @@ def look_through(begin, end, points, blurs, wanted, padding, covers, covariance)
     )
     for tile in range(begin, end):
         for across in range(wanted.shape[1]):
-            top, left, n_layers = tile * TILE, across * TILE, wanted[tile, across]
-            bottom, right = min(top + TILE, height), min(left + TILE, width)
-            covariance[:, top:bottom, left:right] = np.float32(0.0)
+            top, left = tile * TILE - corner[0] // CELL, across * TILE - corner[1] // CELL
+            rows, cols = (max(top, 0), min(top + TILE, height)), (max(left, 0), min(left + TILE, width))
+            n_layers = wanted[tile, across]
+            covariance[:, rows[0] : rows[1], cols[0] : cols[1]] = np.float32(0.0)
             if not n_layers:
                 continue
             # Through each point, see the layers one behind the other, each moved as it blurs.
@@ -262,8 +270,8 @@ def look_through(begin, end, points, blurs, wanted, padding, covers, covariance)
             passing[:] = np.float32(1.0)
             scale = np.float32(1.0 / n)
             for number in range(n_layers):
-                for i in range(top, bottom):
-                    for j in range(left, right):
+                for i in range(rows[0], rows[1]):
+                    for j in range(cols[0], cols[1]):
                         k = (i - top) * TILE + j - left
                         seen = scale * joint[number, k]
                         covariance[number, i, j] = seen - passing[k] * scale * mean[number, k]
@@ -274,12 +282,13 @@ def look_through(begin, end, points, blurs, wanted, padding, covers, covariance)
 def enlarge_cells(begin, end, cells, corner, image):
     """Fill ``image`` (H, W), float32, with ``cells`` (h, w), interpolated linearly; ``corner`` as in `enter_frame`."""
     height, width = cells.shape
+    within, aside_of = corner[0] % CELL, corner[1] % CELL
     for row in range(begin, end):
-        y = np.float32((row + corner[0] + 0.5) / CELL - 0.5)
+        y = np.float32((row + within + 0.5) / CELL - 0.5)
         first = min(max(int(np.floor(y)), 0), height - 1)
         below, down = min(first + 1, height - 1), min(max(y - np.float32(first), np.float32(0.0)), np.float32(1.0))
         for col in range(image.shape[1]):
-            x = np.float32((col + corner[1] + 0.5) / CELL - 0.5)
+            x = np.float32((col + aside_of + 0.5) / CELL - 0.5)
             left = min(max(int(np.floor(x)), 0), width - 1)
             right, aside = min(left + 1, width - 1), min(max(x - np.float32(left), np.float32(0.0)), np.float32(1.0))
             upper = cells[first, left] + aside * (cells[first, right] - cells[first, left])

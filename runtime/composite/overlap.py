@@ -111,20 +111,20 @@ def find_overlap(
             _overlap_kernels.enter_list(*each, known, inner, bool(is_hidden), covers, unknown)
     for_bands(_overlap_kernels.make_shares, cells[0], inner, shape, covers, unknown)
     # Choose the tiles in which layers overlap that blur, and look at these.
-    blurs = _blurs(sums, moments)
+    blurs = _blurs(sums, moments, max(cells))
     reaches = np.abs(blurs[..., 0]) + np.hypot(blurs[..., 1], blurs[..., 2]) / 2.0
     padding = TILE + 2 + math.ceil(reaches.max())
     filled = _filled(covers, unknown, moments, padding)
-    wanted = _wanted(filled, reaches, padding, closed=closed)
+    wanted = _wanted(filled, reaches, inner, padding, closed=closed)
     if not wanted.any():
         return None
     covariance = buffer((n_layers, *cells))
-    for_bands(_overlap_kernels.look_through, tiles[0], _points(), blurs, wanted, padding, filled, covariance)
+    for_bands(_overlap_kernels.look_through, tiles[0], _points(), blurs, wanted, inner, padding, filled, covariance)
     return Overlap(covariance, inner, shape)
 
 
-def _blurs(sums: Image, moments: Sequence[Moments | None]) -> DoubleArray:
-    """Return CoC radius and path of each layer in each tile, cells, (h, w, n_layers, 3)."""
+def _blurs(sums: Image, moments: Sequence[Moments | None], most: int) -> DoubleArray:
+    """Return CoC radius and path of each layer in each tile, cells, at most so many, (h, w, n_layers, 3)."""
     blurs = np.zeros((*sums.shape[:3], 3))
     for number, mean in enumerate(moments):
         if mean is None:
@@ -135,7 +135,7 @@ def _blurs(sums: Image, moments: Sequence[Moments | None]) -> DoubleArray:
         # Where little was seen of it, it blurs as in the mean.
         for k, (part, whole) in enumerate(zip(parts, (mean.coc, *mean.motion), strict=True)):
             blurs[:, :, number, k] = (part + LEAST_SHARE * whole) / (share + LEAST_SHARE) / CELL
-    return blurs
+    return np.clip(blurs, -most, most)
 
 
 def _filled(covers: Image, known: Image, moments: Sequence[Moments | None], padding: int) -> Image:
@@ -154,10 +154,10 @@ def _filled(covers: Image, known: Image, moments: Sequence[Moments | None], padd
     return filled
 
 
-def _wanted(covers: Image, reaches: DoubleArray, padding: int, *, closed: bool) -> IntArray:
+def _wanted(covers: Image, reaches: DoubleArray, corner: tuple[int, int], padding: int, *, closed: bool) -> IntArray:
     """Return how many layers are to be looked at in each tile, counted from the nearest, (h, w); 0 if none overlap."""
     low, high = np.empty((2, *reaches.shape), np.float32)
-    for_bands(_overlap_kernels.cover_range, len(low), padding, covers, low, high)
+    for_bands(_overlap_kernels.cover_range, len(low), corner, padding, covers, low, high)
     shown = np.flatnonzero(high.any(axis=(0, 1)))
     if closed:
         shown = shown[:-1]

@@ -188,9 +188,19 @@ def test_an_element_with_filtered_depth_has_its_own_depth_up_to_its_rim(shape):
     assert np.array_equal(found.depth[share == 0], layer.depth[share == 0])
 
 
-def test_an_element_with_point_samples_of_depth_keeps_them():
-    layer, _ = drawn(edge, alpha=True)
-    assert without_nothing(layer) is layer
+@pytest.mark.parametrize("shape", [edge, stick, dot])
+def test_an_element_has_its_own_depth_also_where_the_samples_of_depth_missed_it(shape):
+    layer, share = drawn(shape, alpha=True)
+    assert (layer.depth[share > 0] != NEAR).any()
+    found = without_nothing(layer)
+    assert (found.depth[share > 0] == NEAR).all()
+    assert np.array_equal(found.depth[share == 0], layer.depth[share == 0])
+
+
+def test_an_element_all_of_whose_samples_of_depth_hit_it_keeps_them():
+    layer, share = drawn(edge, alpha=True)
+    hit = replace(layer, depth=np.where(share > 0, NEAR, layer.depth).astype(np.float32))
+    assert without_nothing(hit) is hit
 
 
 def test_surfaces_are_kept_for_the_next_camera_unless_there_are_too_many(monkeypatch):
