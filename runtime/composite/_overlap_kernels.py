@@ -23,18 +23,13 @@ def _cell(place, corner):
 
 
 @helper
-def _add_cover(own, place, bits, row, col, covers, unknown):
-    """Add what a pixel covers to the sums of its cell; where it hides a farther layer, that is unknown there."""
+def _add_cover(own, place, row, col, covers):
+    """Add what a pixel covers to the sums of its cell."""
     number = int(place)
     farther = place - np.float32(number)
-    for part in range(2):
-        share = own * (farther if part else np.float32(1.0) - farther)
-        if share <= 0.0:
-            continue
-        covers[number + part, row, col] += share
-        for beyond in range(number + part + 1, covers.shape[0]):
-            if not (bits >> np.uint64(beyond)) & np.uint64(1):
-                unknown[beyond, row, col] += share
+    covers[number, row, col] += own * (np.float32(1.0) - farther)
+    if farther > 0.0:
+        covers[number + 1, row, col] += own * farther
 
 
 @helper
@@ -53,7 +48,7 @@ def _add_moments(own, place, coc, path, moments):
 
 
 @kernel
-def enter_frame(begin, end, cover, place, coc, path, known, corner, covers, unknown, moments):
+def enter_frame(begin, end, cover, place, coc, path, corner, covers, moments):
     """Sum up what the pixels of a frame cover, in cells, and how they blur, in tiles.
 
     Parameters
@@ -64,12 +59,10 @@ def enter_frame(begin, end, cover, place, coc, path, known, corner, covers, unkn
         See `runtime.composite._visibility_kernels.cover_planes`.
     coc, path : ndarray of shapes (H, W) and (H, W, 2), float32
         CoC radius and path, px.
-    known : ndarray of shape (H, W), uint64
-        Bits of the layers in which all of each pixel is known.
     corner : tuple of two ints
         Row and column of the frame's first pixel, counted from a pixel that tiles begin at; not negative.
-    covers, unknown : ndarray of shape (n_layers, h, w), float32
-        Sums of what each layer covers, and of what nearer ones hide of it; changed.
+    covers : ndarray of shape (n_layers, h, w), float32
+        Sums of what each layer covers; changed.
     moments : ndarray of shape (h / TILE, w / TILE, n_layers, MOMENTS), float32
         Changed.
     """
@@ -80,13 +73,13 @@ def enter_frame(begin, end, cover, place, coc, path, known, corner, covers, unkn
             for col in range(cover.shape[1]):
                 own = cover[row, col]
                 if own > 0.0:
-                    _add_cover(own, place[row, col], known[row, col], i, _cell(col, left), covers, unknown)
+                    _add_cover(own, place[row, col], i, _cell(col, left), covers)
                     sums = moments[tile, (col + left) // side]
                     _add_moments(own, place[row, col], coc[row, col], path[row, col], sums)
 
 
 @kernel
-def enter_list(cover, place, at, known, corner, hidden, covers, unknown):
+def enter_list(cover, place, at, corner, covers):
     """Sum up what the pixels of a list cover.
 
     Parameters
@@ -94,36 +87,34 @@ def enter_list(cover, place, at, known, corner, hidden, covers, unknown):
     cover, place : ndarray of shape (h, w), float32
     at : ndarray of shape (h, w, 2), int32
         Their rows and columns in the frame.
-    hidden : bool
-        Whether they lie hidden: then they hide nothing more.
-    known, corner, covers, unknown
+    corner, covers
         See `enter_frame`.
     """
     for i in range(cover.shape[0]):
         for j in range(cover.shape[1]):
-            own = cover[i, j]
-            if own > 0.0:
-                row, col = at[i, j, 0], at[i, j, 1]
-                bits = ~np.uint64(0) if hidden else known[row, col]
-                y, x = _cell(row, corner[0]), _cell(col, corner[1])
-                _add_cover(own, place[i, j], bits, y, x, covers, unknown)
+            if cover[i, j] > 0.0:
+                y, x = _cell(at[i, j, 0], corner[0]), _cell(at[i, j, 1], corner[1])
+                _add_cover(cover[i, j], place[i, j], y, x, covers)
 
 
 @kernel
-def make_shares(begin, end, corner, shape, covers, unknown):
-    """Divide the sums of rows of cells by their pixels, within 0 and 1, and make of what is unknown what is known.
-
-    ``shape`` is that of the frame; other arguments as for `enter_frame`.
-    """
+def make_shares(begin, end, corner, shape, covers):
+    """Divide the sums of rows of cells by their pixels, within 1; ``shape`` is the frame's, see `enter_frame`."""
     one, down, left = np.float32(1.0), corner[0] % CELL, corner[1] % CELL
     for i in range(begin, end):
         rows = min((i + 1) * CELL - down, shape[0]) - max(i * CELL - down, 0)
         for number in range(covers.shape[0]):
             for j in range(covers.shape[2]):
                 cols = min((j + 1) * CELL - left, shape[1]) - max(j * CELL - left, 0)
-                scale = one / np.float32(max(rows * cols, 1))
-                covers[number, i, j] = min(scale * covers[number, i, j], one)
-                unknown[number, i, j] = one - min(scale * unknown[number, i, j], one - covers[number, i, j])
+                covers[number, i, j] = min(covers[number, i, j] / np.float32(rows * cols), one)
+
+
+@kernel
+def hide(begin, end, covers, number, known):
+    """Take what a layer before a number covers off ``known`` (h, w), float32: the share of a cell that it leaves."""
+    for i in range(begin, end):
+        for j in range(known.shape[1]):
+            known[i, j] = max(known[i, j] - covers[number - 1, i, j], np.float32(0.0))
 
 
 @kernel
@@ -135,11 +126,11 @@ def fill_unknown(begin, end, cover, known, mean, mean_known, prior, padding, fil
     begin, end : int
         Rows, without padding.
     cover, known : ndarray of shape (h, w), float32
-        What the layer covers, and the share of each cell of which that is known.
+        What is seen of the layer, and the share of each cell in which nothing hides it.
     mean, mean_known : ndarray of shape (h, w), float32
         The same, means around each cell.
     prior : tuple of two float32
-        Added to both, cover and what was seen: the layer's own in the mean, small beside what was seen nearby.
+        Added to both: the layer's own in the mean, small beside what was seen nearby.
     padding : int
         Cells around those of the frame.
     filled : ndarray of shape (h + 2 padding, w + 2 padding), float32

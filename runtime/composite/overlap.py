@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spreadlets.arrays import NOTHING, DoubleArray, Image, IntArray
 from spreadlets.parallel import for_bands
@@ -68,11 +67,10 @@ class Overlap(NamedTuple):
 def find_overlap(
     frames: Sequence[tuple[CoverPart, Labels]],
     lists: Sequence[CoverPart],
-    hidden: Sequence[CoverPart],
-    known: npt.NDArray[np.uint64],
     moments: Sequence[Moments | None],
     *,
     closed: bool,
+    hiding: bool,
 ) -> Overlap | None:
     """Find how the layers of a frame overlap.
 
@@ -80,41 +78,40 @@ def find_overlap(
     ----------
     frames : sequence of (CoverPart, Labels)
         What is seen, of all pixels.
-    lists, hidden : sequence of CoverPart
-        What else is seen of some, and what is known to lie hidden.
-    known : ndarray of shape (H, W), uint64
-        Bits of the layers in which all of a pixel is known, see `runtime.composite.layers.Cover`.
+    lists : sequence of CoverPart
+        What else is seen of some.
     moments : sequence of Moments or None
         Of each layer.
     closed : bool
         Whether the last layer is opaque: then it shows all that is left.
+    hiding : bool
+        Whether what nearer layers cover hid farther ones: there these are taken to be as they are around.
 
     Returns
     -------
     Overlap or None
         None if no two layers overlap.
     """
-    n_layers, shape, side = len(moments), known.shape, CELL * TILE
+    n_layers, shape, side = len(moments), frames[0][0].cover.shape, CELL * TILE
     if n_layers < 2 + closed:
         return None
     row, column = frames[0][1].view.corner
     inner = row % side, column % side
     cells, tiles = tiling(shape, CELL, inner), tiling(shape, side, inner)
     # See what each layer covers in each cell, and how it blurs in each tile.
-    covers, unknown = cleared((n_layers, *cells)), cleared((n_layers, *cells))
+    covers = cleared((n_layers, *cells))
     sums = np.zeros((*tiles, n_layers, MOMENTS), np.float32)
     for part, labels in frames:
-        planes = part.cover, part.place, labels.coc, labels.whole_path, known
-        for_bands(_overlap_kernels.enter_frame, tiles[0], *planes, inner, covers, unknown, sums)
-    for is_hidden, parts in enumerate((lists, hidden)):
-        for each in parts:
-            _overlap_kernels.enter_list(*each, known, inner, bool(is_hidden), covers, unknown)
-    for_bands(_overlap_kernels.make_shares, cells[0], inner, shape, covers, unknown)
+        planes = part.cover, part.place, labels.coc, labels.whole_path
+        for_bands(_overlap_kernels.enter_frame, tiles[0], *planes, inner, covers, sums)
+    for each in lists:
+        _overlap_kernels.enter_list(*each, inner, covers)
+    for_bands(_overlap_kernels.make_shares, cells[0], inner, shape, covers)
     # Choose the tiles in which layers overlap that blur, and look at these.
     blurs = _blurs(sums, moments, max(cells))
     reaches = np.abs(blurs[..., 0]) + np.hypot(blurs[..., 1], blurs[..., 2]) / 2.0
     padding = TILE + 2 + math.ceil(reaches.max())
-    filled = _filled(covers, unknown, moments, padding)
+    filled = _filled(covers, moments, padding, hiding=hiding)
     wanted = _wanted(filled, reaches, inner, padding, closed=closed)
     if not wanted.any():
         return None
@@ -138,18 +135,19 @@ def _blurs(sums: Image, moments: Sequence[Moments | None], most: int) -> DoubleA
     return np.clip(blurs, -most, most)
 
 
-def _filled(covers: Image, known: Image, moments: Sequence[Moments | None], padding: int) -> Image:
-    """Return what each layer covers, also where that is not known, with its border repeated."""
+def _filled(covers: Image, moments: Sequence[Moments | None], padding: int, *, hiding: bool) -> Image:
+    """Return what each layer covers, also where nearer ones hide it, with its border repeated."""
     n_layers, height, width = covers.shape
     filled = buffer((n_layers, height + 2 * padding, width + 2 * padding))
+    known = np.ones((height, width), np.float32)
     for number, mean in enumerate(moments):
+        if hiding and number:
+            for_bands(_overlap_kernels.hide, height, covers, number, known)
+        # What was seen is looked for as far around as the layer blurs.
         half = 1 if mean is None else max(1, mean.box_half_width() // CELL)
-        around = box_blurred(covers[number], half, 2), box_blurred(known[number], half, 2)
-        prior = (
-            np.float32(LEAST_SHARE * covers[number].mean()),
-            np.float32(LEAST_SHARE * (known[number].mean())),
-        )
-        given = covers[number], known[number], *around, prior, padding, filled[number]
+        around = [box_blurred(each, half, times=2) for each in (covers[number], known)]
+        prior = np.float32(LEAST_SHARE * covers[number].mean()), np.float32(LEAST_SHARE * known.mean())
+        given = covers[number], known, *around, prior, padding, filled[number]
         for_bands(_overlap_kernels.fill_unknown, height, *given)
     return filled
 

@@ -60,7 +60,7 @@ class ShareBeyond:
             plan.n_layers,
         )
         frame = self.cover.frame, pixel_sets[0].labels
-        self._overlap = find_overlap([frame], *self.cover[1:], self.moments, closed=closed)
+        self._overlap = find_overlap([frame], self.cover.seen, self.moments, closed=closed, hiding=True)
 
     def beyond(self, number: int) -> Image:
         """Return how much more is seen of a layer than nearer ones leave in the mean, see `find_overlap`."""
@@ -102,6 +102,7 @@ def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Ov
     """Find how the layers of a frame overlap that comes in such, by the sets of pixels of each; see `find_overlap`."""
     frames, lists, moments = list[tuple[CoverPart, Labels]](), list[CoverPart](), list[Moments | None]()
     for number, group in enumerate(groups):
+        # See what each set of its pixels covers.
         for pixels in group:
             shape = pixels.labels.coc.shape
             part = CoverPart(
@@ -113,14 +114,14 @@ def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Ov
                 frames.append((part, pixels.labels))
             else:
                 lists.append(part)
+        # Find how it blurs in the mean.
         whole = [
             Membership(np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape, np.float32))
             for shape in (each.labels.coc.shape for each in group)
         ]
         given = [(each, each.labels.whole_path, own) for each, own in zip(group, whole, strict=True)]
         moments += layers.layer_moments(given, 1)
-    known = np.full(frames[0][0].cover.shape, ~np.uint64(0))
-    return find_overlap(frames, lists, [], known, moments, closed=closed)
+    return find_overlap(frames, lists, moments, closed=closed, hiding=False)
 
 
 class PassingSamples:
