@@ -37,8 +37,11 @@ TOO_SLOW_S, FAST_S = 0.075, 0.03
 """Times of a proxy, s, from which a smaller one is taken next, and below which a larger one."""
 DRAFT_LAYERS = 2
 """Depth layers of a proxy, while that is fast enough."""
-DRAFT = {"tolerance": 0.02, "cycles": 0}
-"""Options of a proxy: a few steps of 8 bits are traded for speed, and the solver's last step is left out."""
+DRAFT = {"tolerance": 0.1, "cycles": 0}
+"""Options of a proxy: where all moves, steps of the display and the rims of all but the brightest lamps go unseen."""
+DRAFT_LEFT_OUT = ("curved paths", "faint highlights", "last step of the solver")
+HIDDEN = "what lies hidden"
+"""What a proxy leaves out; the last in one layer only."""
 RESTING_S = 0.05
 """How long a drag must rest before the whole picture is begun: if it goes on, that is dropped."""
 MOST_APERTURES = 4
@@ -263,7 +266,8 @@ class Worker(threading.Thread):
         camera = request.settings.camera(self._studio.scene.camera)
         image, report = renderer.render(camera, **options, report=True)
         took = time.perf_counter() - begin
-        self._show(request, image, share, {"time_s": report.time_s, "full": False})
+        left_out = [*DRAFT_LEFT_OUT, *([HIDDEN] if report.plan["layers"] == 1 else [])]
+        self._show(request, image, share, {"time_s": report.time_s, "plan": {"left_out": left_out}, "full": False})
         if took > TOO_SLOW_S:
             self._rung = min(self._rung + 1, len(self._ladder) - 1)
         elif took < FAST_S:
