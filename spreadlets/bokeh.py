@@ -130,7 +130,8 @@ class BokehCache:
     def _build(self, places: Iterable[tuple[int, int]], *, extend: bool) -> None:
         from spreadlets.precompute.build.build import build_database
 
-        options = {} if extend else self.model.options()
+        # It is waited for; what is added is made as what is there.
+        options = {} if extend else {"sparsifier": "quick", **self.model.options()}
         build_database(
             self.model.name, self.path, only=places, extend=extend, judge=False, progress=self.progress, **options
         )

@@ -6,6 +6,7 @@ import io
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self, Unpack, overload
@@ -20,7 +21,7 @@ from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database, shared_database
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.display import display_encode
-from spreadlets.scene.doubts import frame_doubts
+from spreadlets.scene.doubts import depth_range, frame_doubts
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.parts import (
     checked_mask,
@@ -187,7 +188,7 @@ class Renderer:
                 "method 'gather'"
             )
         camera = self._focused(camera, chosen)
-        _warn(frame_doubts(self.frame, camera))
+        _warn(frame_doubts(self.frame, camera, self._depth_range))
         images, figures = self._synthesized(further, camera, chosen, clock)
         images = [self._cut(image, chosen) for image in images]
         self._shown = images[0]
@@ -325,6 +326,10 @@ class Renderer:
         if mask is not None:
             images = [put_before(image, each, mask) for image, each in zip(images, whole, strict=True)]
         return images, figures
+
+    @cached_property
+    def _depth_range(self) -> tuple[float, float]:
+        return depth_range(self.frame)
 
     def _proxy(self, share: float) -> Frame:
         with self._lock:

@@ -68,6 +68,10 @@ CANDIDATE_THRESHOLD = 1e-3
 MAX_ORBITS = 800
 """Most unknowns to start from; among more candidates, dart throwing chooses. The time grows with the third power."""
 
+QUICK_ORBITS = 400
+"""Most unknowns where an aperture is waited for, and none of those left looks for a better place: half of the time. The
+similarity is lower by .006; a frame drawn with it agrees with that of the usual points at an SSIM of .9999."""
+
 RELAXATIONS = 5
 """Lloyd iterations of those darts: they bring what the fifty of LKS do, at a sixth of the time."""
 
@@ -100,16 +104,19 @@ class Terms(NamedTuple):
     """Share of the largest Laplacian above which a pixel may become a point."""
     most: int
     """Candidates at most."""
+    annealed: bool
+    """Whether the points that are left look for better places."""
 
     @classmethod
-    def of(cls, density: float, *, spiked: bool) -> Terms:
+    def of(cls, density: float, *, spiked: bool, quick: bool) -> Terms:
         """Return the terms of an operating point; what surrounds a spike has its own."""
         share, threshold = (SPIKED, SPIKED_CANDIDATE_THRESHOLD) if spiked else (1.0, CANDIDATE_THRESHOLD)
         price, looser = PRICE * density**-PRICE_EXPONENT, density**-0.5
-        return cls(share * price, share * WORST_LOSS * looser, MISJUDGED_LOSS * looser, threshold, MAX_ORBITS)
+        most = QUICK_ORBITS if quick else MAX_ORBITS
+        return cls(share * price, share * WORST_LOSS * looser, MISJUDGED_LOSS * looser, threshold, most, not quick)
 
 
-def sparsify_fitted(psf: DoubleArray, density: float, seed: int) -> Result:
+def sparsify_fitted(psf: DoubleArray, density: float, seed: int, *, quick: bool = False) -> Result:
     """Turn a PSF into a spreadlet of fitted points, or of its own pixels if those are cheaper.
 
     Parameters
@@ -120,6 +127,8 @@ def sparsify_fitted(psf: DoubleArray, density: float, seed: int) -> Result:
         Operating point.
     seed : int
         Of the choice among too many candidates, and of the annealing.
+    quick : bool
+        Whether to start from fewer candidates, and not to anneal.
 
     Returns
     -------
@@ -135,7 +144,7 @@ def sparsify_fitted(psf: DoubleArray, density: float, seed: int) -> Result:
     rest, spike = split_spike(moved(psf, -shift))
     boxed = on_box(rest)
     # Step 2: points of the Laplacian, unless there are only a few rows of pixels.
-    terms = Terms.of(density, spiked=bool(spike.any()))
+    terms = Terms.of(density, spiked=bool(spike.any()), quick=quick)
     results = [] if width_radius(boxed) <= THIN_RADIUS else [_fitted(boxed, terms, seed)]
     # Step 3: the pixels themselves, where their number alone does not make them dearer.
     for kept in direct_choices(boxed):
@@ -174,7 +183,8 @@ def _sparse_spreadlet(psf: DoubleArray, terms: Terms, seed: int) -> Spreadlet:
     equations = similarity_equations(scaled, members, size, group)
     # Step 2: drop the least useful; let those left look for better places.
     index, _ = eliminate(equations, size, terms.price / int(support(psf).sum()), terms.limit)
-    index = anneal_fitted(equations, candidates_near(members), index, rng)
+    if terms.annealed:
+        index = anneal_fitted(equations, candidates_near(members), index, rng)
     # Step 3: values.
     chosen = equations.subset(index)
     offset, value = expand(members[index], size[index], chosen.solve(chosen.free_inverse()))

@@ -189,7 +189,7 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
             # Whether a bright pixel is a highlight is not known yet: it may need either.
             nowhere = np.full(key.shape, -1, np.int32)
             found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key.copy(), nowhere, _bright(pixels)))
-            variants = [_decode(int(each), cell_start) for each in found[found >= 0]]
+            variants = _decoded(found[found >= 0], cell_start)
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
 
@@ -287,7 +287,7 @@ def _choose(
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
     _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
-    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, tolerance, stochastic=stochastic)
     if shared:
         sets = zip(pixel_sets, keys, highlights.number, strict=True)
         keys = tuple(
@@ -296,7 +296,7 @@ def _choose(
     # Number the variants in use.
     used, indices = _numbered(keys)
     streaks = FIRST_STREAK - used[used <= FIRST_STREAK]
-    variants = [_decode(int(each), database.cell_start) for each in used[len(streaks) :]]
+    variants = _decoded(used[len(streaks) :], database.cell_start)
     # Collect the points of all.
     parts = [*variant_points(variants, database, dense_psf), *map(own_points, highlights.psfs)]
     points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
@@ -486,21 +486,17 @@ def _warn_beyond_range(grid: PsfGrid, excess: npt.NDArray[np.float64], keys: Seq
     )
 
 
-def _decode(key: int, cell_start: npt.NDArray[np.int64]) -> Variant:
-    """Turn a key of the kernel back into what it stands for."""
-    if key == _plan_kernels.SHARP:
-        return SHARP
-    scaled, orientation = divmod(key - 1, 8)
-    step, spreadlet = divmod(scaled, int(cell_start[-1]))
-    cell = int(np.searchsorted(cell_start, spreadlet, side="right")) - 1
-    return Variant(
-        cell=cell,
-        pose=spreadlet - int(cell_start[cell]),
-        transpose=bool(orientation & 1),
-        flip_row=bool(orientation & 2),
-        flip_col=bool(orientation & 4),
-        scale=float(np.exp2(step / SCALE_STEPS_PER_OCTAVE)),
-    )
+def _decoded(keys: npt.NDArray[np.int64], cell_start: npt.NDArray[np.int64]) -> list[Variant]:
+    """Turn keys of the kernel, ascending, back into what they stand for."""
+    stored = keys[keys != _plan_kernels.SHARP]
+    scaled, orientation = np.divmod(stored - 1, 8)
+    step, spreadlet = np.divmod(scaled, cell_start[-1])
+    cell = np.searchsorted(cell_start, spreadlet, side="right") - 1
+    # Columns in the order of a variant's fields.
+    turned = (orientation & bit != 0 for bit in (1, 2, 4))
+    columns = cell, spreadlet - cell_start[cell], *turned, np.exp2(step / SCALE_STEPS_PER_OCTAVE)
+    found = list(map(Variant, *(column.tolist() for column in columns)))
+    return found if len(stored) == len(keys) else [SHARP, *found]
 
 
 def _point_table(

@@ -24,7 +24,11 @@ _DEFAULT = click.core.ParameterSource.DEFAULT
 @cloup.option("--max-coc", type=float, help="Largest CoC radius, px.")
 @cloup.option("--max-motion", type=float, help="Longest motion over the shutter, px.")
 @cloup.option("--density", type=click.Choice(["0.5", "1", "2"]), help="Points, times the usual number (default: 1).")
-@cloup.option("--sparsifier", type=click.Choice(["fit", "lks"]), help="Least squares (default), or as LKS published.")
+@cloup.option(
+    "--sparsifier",
+    type=click.Choice(["fit", "quick", "lks"]),
+    help="Least squares (default), the same in half of the time, or as LKS published.",
+)
 @cloup.option("--lens", help="physicallens: a prescription file, or singlet, doublet, double_gauss (shipped).")
 @cloup.option("--width", type=click.IntRange(min=1), help="physicallens, volume: width of the frames to come, px.")
 @cloup.option("--image", help="stylized: the PSF (PNG).")

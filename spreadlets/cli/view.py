@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import webbrowser
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import cloup
 
 from spreadlets.cli.options import camera_options, input_options, json_option, take_camera, take_reading
 from spreadlets.cli.show import print_figures
+
+if TYPE_CHECKING:
+    from spreadlets.view.session import Studio
 
 
 @cloup.command()
@@ -42,7 +45,6 @@ def view(
     from spreadlets.files import exr_frames as exr
     from spreadlets.files.cameras import camera_of
     from spreadlets.files.recognise import ReadOptions
-    from spreadlets.view.server import Server
     from spreadlets.view.session import Scene, Studio
 
     reading = take_reading(options)
@@ -51,12 +53,24 @@ def view(
     frame = exr.read_frame(list(frames), options=chosen)
     lens = lens.fitted(frame.raster.display.shape, frame.raster.pixel_aspect)
     truth = exr.read_reference(reference, chosen) if reference else None
-    server = Server(Studio(Scene(frame, lens, database, truth, frames, camera)), port)
+    studio = Studio(Scene(frame, lens, database, truth, frames, camera))
+    with compiled_ahead("synthesize"):
+        studio.begin()
+        try:
+            serve(studio, port, as_json=as_json, in_browser=not no_browser and not as_json)
+        finally:
+            studio.close()
+
+
+def serve(studio: Studio, port: int, *, as_json: bool, in_browser: bool) -> None:
+    """Serve a page until it is interrupted; say where, and open it."""
+    from spreadlets.view.server import Server
+
+    server = Server(studio, port)
     if as_json:
         print_figures({"url": server.url}, as_json)
     else:
         click.echo(f"{server.url}\nInterrupt (Ctrl-C) to end.")
-    if not no_browser and not as_json:
+    if in_browser:
         webbrowser.open(server.url)
-    with compiled_ahead("synthesize"):
-        server.run()
+    server.run()

@@ -53,7 +53,7 @@ def camera_doubts(camera: ThinLens) -> list[str]:
     return found
 
 
-def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
+def frame_doubts(frame: Frame, camera: ThinLens, depths: tuple[float, float] | None = None) -> list[str]:
     """Return warnings of what does not fit between a frame and its camera.
 
     Parameters
@@ -62,6 +62,8 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
         Labelled pixels.
     camera : ThinLens
         Lens and shutter, fitted to the frame or not.
+    depths : tuple of two floats, optional
+        Its `depth_range`, where that is known.
 
     Returns
     -------
@@ -78,8 +80,7 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
                 f"mm, one is upright and the other not; the widths are taken to agree: say {option('sensor_fit')}"
             )
     # Is the focus near the depths?
-    ends = [_finite_range(layer) for layer in frame.layers]
-    nearest, farthest = min((low for low, _ in ends), default=math.inf), max((high for _, high in ends), default=0.0)
+    nearest, farthest = depth_range(frame) if depths is None else depths
     focus = camera.focus_distance_m
     if not (nearest <= farthest and math.isfinite(focus)):
         return found
@@ -91,9 +92,10 @@ def frame_doubts(frame: Frame, camera: ThinLens) -> list[str]:
     return found
 
 
-def _finite_range(layer: Layer) -> tuple[float, float]:
-    """Return the nearest and farthest depth of what is visible, without the background."""
-    return visible_range(layer.depth, layer.radiance, FAR)
+def depth_range(frame: Frame) -> tuple[float, float]:
+    """Return the nearest and the farthest depth of what is visible, metres, without the background; inf, 0 if none."""
+    ends = [visible_range(layer.depth, layer.radiance, FAR) for layer in frame.layers]
+    return min((low for low, _ in ends), default=math.inf), max((high for _, high in ends), default=0.0)
 
 
 def layer_doubts(frame: Frame) -> list[str]:

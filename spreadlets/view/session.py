@@ -9,18 +9,18 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from spreadlets import metrics
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import SpreadletsError
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer, shows_motion
 from spreadlets.runtime.clock import Clock
+from spreadlets.runtime.report import Report
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import placed
@@ -37,10 +37,15 @@ TOO_SLOW_S, FAST_S = 0.075, 0.03
 """Times of a proxy, s, from which a smaller one is taken next, and below which a larger one."""
 DRAFT_LAYERS = 2
 """Depth layers of a proxy, while that is fast enough."""
-DRAFT = {"tolerance": 0.02, "cycles": 0}
-"""Options of a proxy: a few steps of 8 bits are traded for speed, and the solver's last step is left out."""
+DRAFT = {"tolerance": 0.1, "cycles": 0}
+"""Options of a proxy: where all moves, steps of the display and the rims of all but the brightest lamps go unseen."""
+DRAFT_LEFT_OUT = ("curved paths", "faint highlights", "last step of the solver")
+HIDDEN = "what lies hidden"
+"""What a proxy leaves out; the last in one layer only."""
 RESTING_S = 0.05
 """How long a drag must rest before the whole picture is begun: if it goes on, that is dropped."""
+LOOK_S = 0.01
+"""How often it is looked whether something that is waited for is wanted still."""
 MOST_APERTURES = 4
 """Renderers of apertures that are kept open."""
 
@@ -107,6 +112,49 @@ class Scene:
     camera_file: str | None = None
 
 
+class Ahead(threading.Thread):
+    """Renders what a page begins with, before there is one: while the page is loaded, nothing else is to be done.
+
+    Parameters
+    ----------
+    studio : Studio
+    settings : Settings
+    """
+
+    def __init__(self, studio: Studio, settings: Settings) -> None:
+        super().__init__(name="spreadlets-view-ahead", daemon=True)
+        self._studio, self._settings = studio, settings
+        self._unwanted = False
+        self._found: tuple[FloatArray, Report] | None = None
+
+    def run(self) -> None:
+        """Render, until it is dropped."""
+        # What fails here fails again where it is asked for, and is told there.
+        with suppress(Superseded, SpreadletsError):
+            self._found = self._studio.whole(self._settings, lambda: self._unwanted)
+
+    def drop(self) -> None:
+        """Stop: something else is asked for."""
+        self._unwanted = True
+
+    def take(self, settings: Settings, superseded: Callable[[], bool]) -> tuple[FloatArray, Report] | None:
+        """Return the picture, as soon as it is there; None, and stop, if other settings are asked for.
+
+        Raises
+        ------
+        Superseded
+            If that is so before.
+        """
+        if settings.rendering != self._settings.rendering:
+            self.drop()
+            return None
+        while self.is_alive():
+            self.join(LOOK_S)
+            if superseded():
+                raise Superseded
+        return self._found
+
+
 class Studio:
     """The renderers of a scene, for all pages that look at it.
 
@@ -126,7 +174,9 @@ class Studio:
         self.latest: FloatArray | None = None
         self.kernels: dict[str, str] = {}
         self._lock = threading.Lock()
-        self.plain = self.renderer(Settings.of_camera(scene.camera), draft=False)
+        self._begins_with = Settings.of_camera(scene.camera)
+        self.plain = self.renderer(self._begins_with, draft=False)
+        self._ahead = Ahead(self, self._begins_with)
 
     @property
     def moving(self) -> bool:
@@ -147,6 +197,38 @@ class Studio:
                     del self._renderers[old]
             return self._renderers[key]
 
+    def begin(self) -> None:
+        """Begin with the picture that pages begin with."""
+        self._ahead.start()
+
+    def whole(
+        self, settings: Settings, superseded: Callable[[], bool], progress: Callable[..., None] | None = None
+    ) -> tuple[FloatArray, Report]:
+        """Return the whole picture and its report.
+
+        Raises
+        ------
+        Superseded
+            If that is so before it is done.
+        """
+        renderer = self.renderer(settings, draft=False, progress=progress)
+        camera = settings.camera(self.scene.camera)
+        return renderer.render(camera, **settings.options(), report=True, clock=Watch(superseded))
+
+    def begun(self, settings: Settings, superseded: Callable[[], bool]) -> tuple[FloatArray, Report] | None:
+        """Return the picture that was begun with, if these are its settings, as soon as it is there; else None.
+
+        Raises
+        ------
+        Superseded
+            If that is so before.
+        """
+        return self._ahead.take(settings, superseded)
+
+    def stop(self) -> None:
+        """Stop what was begun with."""
+        self._ahead.drop()
+
     def pinhole(self) -> FloatArray:
         """Return the frame without any blur, (H, W, 4) float32."""
         image = np.zeros((*self.scene.frame.shape, 4), np.float32)
@@ -163,6 +245,9 @@ class Studio:
 
     def close(self) -> None:
         """Close all databases."""
+        self.stop()
+        if self._ahead.is_alive():
+            self._ahead.join()
         with self._lock:
             for renderer in self._renderers.values():
                 renderer.close()
@@ -249,6 +334,8 @@ class Worker(threading.Thread):
         self._show(request, image, 1.0, {**report, "full": True})
         truth = self._studio.placed_reference()
         if request.judging and truth is not None and self._rests(RESTING_S):
+            from spreadlets import metrics  # a tenth of the time to the first picture
+
             figures = metrics.compare(image, truth)
             self._tell({"type": "metrics", "number": request.number, **figures})
 
@@ -256,6 +343,7 @@ class Worker(threading.Thread):
         return self.full is not None and self.full[0] == request.settings.rendering
 
     def _draft(self, request: Request) -> None:
+        self._studio.stop()
         share, n_layers = self._ladder[self._rung]
         begin = time.perf_counter()
         renderer = self._studio.renderer(request.settings, draft=True, progress=self._progress)
@@ -263,7 +351,8 @@ class Worker(threading.Thread):
         camera = request.settings.camera(self._studio.scene.camera)
         image, report = renderer.render(camera, **options, report=True)
         took = time.perf_counter() - begin
-        self._show(request, image, share, {"time_s": report.time_s, "full": False})
+        left_out = [*DRAFT_LEFT_OUT, *([HIDDEN] if report.plan["layers"] == 1 else [])]
+        self._show(request, image, share, {"time_s": report.time_s, "plan": {"left_out": left_out}, "full": False})
         if took > TOO_SLOW_S:
             self._rung = min(self._rung + 1, len(self._ladder) - 1)
         elif took < FAST_S:
@@ -273,11 +362,8 @@ class Worker(threading.Thread):
         """Return the whole picture and what is told of it; the one before, if only its display changes."""
         if self.full is not None and self._is_known(request):
             return self.full[1], self.full[2]
-        settings = request.settings
-        renderer = self._studio.renderer(settings, draft=False, progress=self._progress)
-        camera = settings.camera(self._studio.scene.camera)
-        clock = Watch(self._overtaken)
-        image, report = renderer.render(camera, **settings.options(), report=True, clock=clock)
+        settings, given = request.settings, (request.settings, self._overtaken)
+        image, report = self._studio.begun(*given) or self._studio.whole(*given, self._progress)
         told = {"time_s": report.time_s, "plan": dict(report.plan)}
         self.full, self._studio.latest = (settings.rendering, image, told), image
         return image, told

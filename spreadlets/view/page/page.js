@@ -8,7 +8,7 @@ const images = {};              // pinhole, reference, result: canvases.
 const keys = new Map();         // Focus by frame.
 const view = { zoom: 0, x: 0, y: 0 };  // 0: the whole picture.
 let hello = null, initial = null, socket = null, kernel = "";
-let asked = 0, waiting = false, next = null;
+let asked = 0;
 window.pictures = [];           // Numbers and times of the pictures that came.
 
 // --- The connection ---------------------------------------------------------------------------------------------
@@ -41,13 +41,11 @@ const handlers = {
   pinhole(message, bytes) { images.pinhole = canvasOf(message, bytes); draw(); },
   reference(message, bytes) { images.reference = canvasOf(message, bytes); draw(); },
   picture(message, bytes) {
-    waiting = false;
     images.result = canvasOf(message, bytes, images.result);
     window.pictures.push({ number: message.number, full: message.full, share: message.share, at: performance.now() });
     $("command-line").value = message.command;
     draw();
     report(message);
-    flush();
   },
   progress(message) {
     $("progress").hidden = false;
@@ -78,7 +76,7 @@ const handlers = {
   metrics(message) {
     $("metrics").textContent = `SSIM ${message.ssim.toFixed(4)}  FLIP ${message.flip?.toFixed(4) ?? "-"}  PSNR ${message.psnr?.toFixed(2) ?? "-"} dB`;
   },
-  error(message) { waiting = false; say(message.text, true); flush(); },
+  error(message) { say(message.text, true); },
 };
 
 function canvasOf(message, bytes, old) {
@@ -91,20 +89,13 @@ function canvasOf(message, bytes, old) {
 
 // --- Requests ---------------------------------------------------------------------------------------------------
 
+// What is asked for is sent at once: of all that wait, the server renders the newest only.
 function ask(dragging) {
   asked += 1;
-  next = { type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() };
   $("progress").hidden = true;
   if (!dragging) say(`rendering ${asked}`);
-  flush();
-}
-
-// One picture at a time is on its way while something is dragged; what rests is asked for at once, and overtakes.
-function flush() {
-  if (!next || socket.readyState !== WebSocket.OPEN || (waiting && next.dragging)) return;
-  socket.send(JSON.stringify(next));
-  waiting = true;
-  next = null;
+  if (socket.readyState !== WebSocket.OPEN) return;
+  socket.send(JSON.stringify({ type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() }));
 }
 
 function isJudging() { return Number($("wipe").value) > 0 && $("against").value !== "pinhole"; }
@@ -114,17 +105,18 @@ function say(text, wrong = false) {
   $("status").classList.toggle("wrong", wrong);
 }
 
+function leftOut(message) { return message.plan.left_out?.length ? `  left out: ${message.plan.left_out.join(", ")}` : ""; }
+
 function report(message) {
   const time = Object.entries(message.time_s).filter(([name, value]) => value > 0.0005 && name !== "total")
     .map(([name, value]) => `${name} ${(1000 * value).toFixed(0)}`).join("  ");
   const total = (1000 * message.time_s.total).toFixed(0);
   if (!message.full) {
-    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms  (${time})`);
+    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms  (${time})${leftOut(message)}`);
     return;
   }
   $("progress").hidden = true;
-  const left = message.plan.left_out?.length ? `  left out: ${message.plan.left_out.join(", ")}` : "";
-  say(message.number === asked ? `ready ${message.number}: ${total} ms  (${time})  ${message.plan.layers} layers${left}` : `rendering ${asked}`);
+  say(message.number === asked ? `ready ${message.number}: ${total} ms  (${time})  ${message.plan.layers} layers${leftOut(message)}` : `rendering ${asked}`);
 }
 
 // --- Settings ---------------------------------------------------------------------------------------------------

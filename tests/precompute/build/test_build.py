@@ -304,7 +304,7 @@ def test_a_database_says_by_which_sparsifier_it_was_made_and_an_extension_keeps_
 
 
 def test_an_unknown_sparsifier_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(InvalidParameterError, match="sparsifier is 'magic': allowed are 'fit', 'lks'"):
+    with pytest.raises(InvalidParameterError, match="sparsifier is 'magic': allowed are 'fit', 'quick', 'lks'"):
         build(tmp_path / "a.h5", sparsifier="magic")
     assert not list(tmp_path.iterdir())
 

@@ -190,8 +190,23 @@ def test_density_must_be_positive():
 
 
 def test_an_unknown_sparsifier_is_refused():
-    with pytest.raises(InvalidParameterError, match="sparsifier is 'darts': allowed are 'fit', 'lks'"):
+    with pytest.raises(InvalidParameterError, match="sparsifier is 'darts': allowed are 'fit', 'quick', 'lks'"):
         sparsify(np.ones((5, 5)), sparsifier="darts")
+
+
+def test_the_quick_way_starts_from_fewer_candidates_and_loses_little(monkeypatch):
+    started, equations = [], fitted_module.similarity_equations
+    monkeypatch.setattr(
+        fitted_module,
+        "similarity_equations",
+        lambda psf, at, *given: started.append(len(at)) or equations(psf, at, *given),
+    )
+    psf = capsule_psf(16.0, 30.0, 0.3)
+    whole, quick = (sparsify(psf, sparsifier=name)[1] for name in ("fit", "quick"))
+    assert started[-1] <= fitted_module.QUICK_ORBITS < started[0]
+    assert 0.0 < whole["ssim"] - quick["ssim"] < 0.015
+    monkeypatch.delattr(fitted_module, "anneal_fitted")
+    assert sparsify(psf, sparsifier="quick")[1] == quick
 
 
 def test_annealing_gives_more_similarity_for_the_same_points(monkeypatch):

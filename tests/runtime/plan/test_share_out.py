@@ -37,7 +37,8 @@ def keys_of(frame, database, apart=-1, pixels=None):
 
 def middles_of(keys, database):
     """Where the middles of their cells lie in the grid, (n, n_axes)."""
-    cells = [plan._decode(int(key), database.cell_start).cell for key in keys.ravel()]
+    used, index = np.unique(keys, return_inverse=True)
+    cells = np.array([each.cell for each in plan._decoded(used, database.cell_start)])[index.ravel()]
     return database.grid.nested.bounds[cells].mean(axis=2)
 
 
@@ -94,7 +95,7 @@ def test_a_frame_needs_the_cells_that_it_shares_out(small_combined):
     frame, grid = even_frame(), small_combined.grid
     frame.layers[0].radiance[24:, :, :3] = 0.05
     near, shared = keys_of(frame, small_combined)
-    found = [plan._decode(int(key), small_combined.cell_start) for key in np.union1d(near, shared)]
+    found = plan._decoded(np.union1d(near, shared), small_combined.cell_start)
     assert plan.needed_spreadlets(frame, CAMERA, grid) >= {(each.cell, each.pose) for each in found}
 
 

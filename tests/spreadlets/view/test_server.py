@@ -1,7 +1,6 @@
 """The server: who may ask, what is answered, and that nothing of a page stays when it is closed."""
 
 import json
-import struct
 import threading
 import time
 import urllib.error
@@ -11,15 +10,13 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from view_page import DEADLINE_S, ask, full, live, receive
 from view_scene import CAMERA, DEPTHS
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 import spreadlets as sp
 from spreadlets.errors import InvalidParameterError
 from spreadlets.view.server import Server
-
-DEADLINE_S = 30
 
 
 def fetch(server, path="/", token=None, data=None, headers=None):
@@ -29,39 +26,11 @@ def fetch(server, path="/", token=None, data=None, headers=None):
         return answer.read(), answer.headers
 
 
-def live(server, token=None, origin=None):
-    address = f"ws://127.0.0.1:{server.port}/live?token={server.token if token is None else token}"
-    return connect(address, origin=origin or f"http://127.0.0.1:{server.port}", max_size=None, compression=None)
-
-
-def unpacked(data):
-    (length,) = struct.unpack_from("<I", data)
-    return json.loads(data[4 : 4 + length]), data[4 + length :]
-
-
-def receive(page, kind, until=lambda message: True):
-    """Return the next message of a kind."""
-    while True:
-        message, data = unpacked(page.recv(timeout=DEADLINE_S))
-        assert message["type"] != "error" or kind == "error", message
-        if message["type"] == kind and until(message):
-            return message, data
-
-
-def ask(page, number, dragging=False, judging=False, **settings):
-    message = {"type": "render", "number": number, "dragging": dragging, "judging": judging, "settings": settings}
-    page.send(json.dumps(message))
-
-
 def wait_until(condition):
     deadline = time.monotonic() + DEADLINE_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)
-
-
-def full(page, number):
-    return receive(page, "picture", lambda message: message["full"] and message["number"] == number)
 
 
 def test_the_page_and_its_parts_come_with_the_token_only(server):
