@@ -14,7 +14,7 @@ import spreadlets as sp
 from spreadlets.scene.display import display_encode
 
 SCENES = ("coins", "whirl", "fence", "gear")
-"""What `scenes/render.py` makes for a thin lens; any of them may be there."""
+"""What `scenes/render.py` makes for a thin lens, but for `rain`; any of them may be there."""
 RESULTS = Path(__file__).parent / "results"
 DATA, TESTS = Path(sp.__file__).parent / "data", Path(__file__).parent.parent / "tests" / "data"
 SMALL = RESULTS / "small"
@@ -29,9 +29,12 @@ DIFFERENCE_LEVELS = 32
 class Scene:
     """A rendered frame in all its forms, each read when it is first asked for."""
 
+    lens, truth = ".json", "_ref_dofmb.exr"
+    """Endings of the files of the camera and of the reference."""
+
     def __init__(self, name: str, *folders: Path) -> None:
         self.name, self.folders = name, folders
-        self.camera = sp.read_camera(self.path(".json"))
+        self.camera = sp.read_camera(self.path(self.lens))
 
     def path(self, ending: str) -> Path:
         """Return the path of a file, such as that which ends with ``_pinhole.exr``."""
@@ -61,7 +64,13 @@ class Scene:
     @cached_property
     def reference(self) -> np.ndarray:
         """What the renderer makes of lens and shutter."""
-        return sp.read_image(self.path("_ref_dofmb.exr"))
+        return sp.read_image(self.path(self.truth))
+
+
+class ThinRain(Scene):
+    """`rain` as its thin lens sees it, which its samples are of."""
+
+    lens, truth = "_thin.json", "_ref_thin.exr"
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:

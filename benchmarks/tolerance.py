@@ -3,7 +3,8 @@
     python benchmarks/tolerance.py [--frames DIR]
 
 On the rendered frames of ``--frames`` (default frames; the small ones that ship where missing). Errors
-are changes of the displayed image against tolerance 0. Writes tolerance.txt and tolerance.png to benchmarks/results.
+are changes of the displayed image against tolerance 0. The bound is that of pixels drawn as blocks; coarse pixels,
+which keep the tolerance by themselves, add to the change. Writes tolerance.txt and tolerance.png to benchmarks/results.
 """
 
 import matplotlib

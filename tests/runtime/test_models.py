@@ -69,7 +69,7 @@ def lens(tmp_path_factory):
     grid = PsfGrid.of(get_model("physicallens", 8.0, settings=model_settings("physicallens", options)), 12)
     frames = [spot_frame(32, 32, 5.0), spot_frame(32, 32, -5.0)]
     needed = set().union(*(needed_spreadlets(frame, CAMERA, grid) for frame in frames))
-    build_database("physicallens", path, samples=12, max_coc=8.0, jobs=1, only=needed, rays=300_000, **options)
+    build_database("physicallens", path, samples=12, max_coc=8.0, jobs=1, only=needed, rays=100_000, **options)
     with open_database(path) as database:
         yield database
 
