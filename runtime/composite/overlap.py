@@ -27,8 +27,8 @@ from spreadlets.runtime.label.tiles import largest_around, tiling
 POINTS = 64
 """Points of lens and shutter that layers are looked at through."""
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-STEP_IN_TIME = math.sqrt(2.0) - 1.0
-"""Times go on by this share of the shutter's: no few points that lie side by side have like times."""
+STEP_IN_TIME = 7
+"""From point to point, the time goes on by so many of the equal steps that half of the shutter's is divided into."""
 TILES_AROUND = 1
 """So many tiles around, what was seen of a layer tells how it blurs in one."""
 LEAST_SHARE = 1e-3
@@ -171,7 +171,12 @@ def _wanted(covers: Image, reaches: DoubleArray, corner: tuple[int, int], paddin
 
 
 def _points() -> DoubleArray:
-    """Return points of the lens, in its radius, and times from the middle of the shutter's, in its length, (n, 3)."""
-    number = np.arange(POINTS)
-    radius, angle = np.sqrt((number + 0.5) / POINTS), GOLDEN_ANGLE * number
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), (0.5 + STEP_IN_TIME * number) % 1.0 - 0.5], axis=1)
+    """Return points of the lens, in its radius, and times from the middle of the shutter's, in its length, (n, 3).
+
+    With each there is its reflection in the lens, in time, and in both: reversed in space or time, all stays as it is.
+    """
+    number = np.arange(POINTS // 4)
+    radius, angle = np.sqrt((number + 0.5) / len(number)), GOLDEN_ANGLE / 2.0 * number
+    time = (0.5 + STEP_IN_TIME * number % len(number)) / len(number) / 2.0
+    quarter = np.stack([radius * np.cos(angle), radius * np.sin(angle), time], axis=1)
+    return np.concatenate([quarter * (side, side, way) for side in (1.0, -1.0) for way in (1.0, -1.0)])

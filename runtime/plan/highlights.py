@@ -43,10 +43,9 @@ MUCH_BRIGHTER = 2.0
 """How many times as bright a neighbour is for a pixel to be the edge of it, with its light."""
 LEAST_KNOWN = 0.25
 """Share of its surroundings that must be known to tell whether a pixel stands out."""
-RIM_CHANGE = 10.0
-"""Change of the display under a PSF from which its rim shows, in tolerances, or in steps of the display if these are
-larger. A cell's PSF has a ramp in place of its rim, off by half of the level at most; over the whole of the PSF that is
-a tenth of it in the mean."""
+LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
+"""Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
+of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
 LARGEST_AREA = 1 << 18
 """Largest PSF that is drawn in full, px; a lamp that is spread over more has no rim to see."""
 
@@ -111,7 +110,6 @@ def find_highlights(
     keys: Sequence[IntArray],
     model: PsfModel,
     exact_psf: ExactPsf | None,
-    tolerance: float = DEFAULT_TOLERANCE,
     *,
     stochastic: bool = False,
 ) -> Highlights:
@@ -125,8 +123,6 @@ def find_highlights(
     model : PsfModel
     exact_psf : ExactPsf or None
         What makes the PSFs; None if there are none but those of cells.
-    tolerance : float
-        See `spreadlets.runtime.options.Options`.
     stochastic : bool
         Whether the pixels are samples, which may be missing.
     """
@@ -134,8 +130,7 @@ def find_highlights(
         return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [np.zeros(0, np.int64) for _ in keys], [])
     lights = _lights(pixel_sets, stochastic)
     found = zip(pixel_sets, keys, lights, strict=True)
-    least = RIM_CHANGE * max(tolerance, DEFAULT_TOLERANCE)
-    codes = [_codes(pixels, key, light.excess, model, least) for pixels, key, light in found]
+    codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
     alone = _from_sources(pixel_sets, keys, codes, lights)
     used, number = _numbered(alone, [key.shape for key in keys])
     view = pixel_sets[0].labels.view
@@ -301,8 +296,8 @@ def _row_sums(plane: FloatArray) -> FloatArray:
     return sums
 
 
-def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel, least: float) -> IntArray:
-    """Return the codes of a pass's highlights, which change the display by at least so much."""
+def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> IntArray:
+    """Return the codes of a pass's highlights."""
     labels, code = pixels.labels, np.empty(key.shape, np.int64)
     nothing = np.zeros((), np.float32)
     length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
@@ -311,7 +306,7 @@ def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel, l
     sided = model.symmetry.sign != "ignored"
     steps = CodeSteps(RADIUS_STEPS, longest_step(model, labels.view.frame_shape[1]), THIN_RADIUS_PX, sided)
     coded = CodedLabels(labels.coc, length, heading)
-    limits = least, float(LARGEST_AREA)
+    limits = LEAST_CHANGE, float(LARGEST_AREA)
     for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, coded, steps, limits, code)
     return code
 

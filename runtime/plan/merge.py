@@ -29,6 +29,8 @@ from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 EDGE_ERROR = 0.2
 """Change of the displayed image by an edge along the rim of a disc as wide as a coarse pixel: the 0.09 above, times the
 display's slope in shadows, from which such a rim rises."""
+MERGING_SHARE = 0.25
+"""Share of the tolerance that is kept for merged blocks; coarse pixels may use the others. Their errors may add up."""
 
 
 def coarse_error(variation: npt.NDArray[np.float32], side: npt.NDArray[np.int64] | int) -> npt.NDArray[np.float64]:

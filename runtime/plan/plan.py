@@ -32,7 +32,7 @@ from spreadlets.runtime.plan.border import border_limit, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
-from spreadlets.runtime.plan.merge import coarse_error, merge_blocks
+from spreadlets.runtime.plan.merge import MERGING_SHARE, coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
 from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
@@ -287,7 +287,7 @@ def _choose(
     keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
     _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
-    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, tolerance, stochastic=stochastic)
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     if shared:
         sets = zip(pixel_sets, keys, highlights.number, strict=True)
         keys = tuple(
@@ -302,7 +302,7 @@ def _choose(
     points, spikes = (list(each) for each in zip(*parts, strict=True)) if parts else ([], [])
     table, spike_of = _point_table(draw_streaks(streaks, database.grid.model), points, spikes, database.n_channels)
     variation = _variation(len(streaks), variants, spikes, table, database)
-    table = replace(table, group=_groups(table.direct, variation, tolerance))
+    table = replace(table, group=_groups(table.direct, variation, (1.0 - MERGING_SHARE) * tolerance))
     return _Choice(indices, variants, streaks % 2 == 0, highlights, table, spike_of, variation)
 
 
@@ -350,10 +350,10 @@ def _lay_out(
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     own = highlights.splats(pixel_sets, members, table, chosen.n_variants, wide)
     variation = np.tile(chosen.variation, n_layers)
-    merged = [merge_blocks(each, variation, tolerance) for each in splats]
+    coarse = float(coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group]).max(initial=0.0))
+    merged = [merge_blocks(each, variation, tolerance - coarse) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
-    by_coarse_pixels = coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group])
-    return sources, max([float(by_coarse_pixels.max(initial=0.0)), *(bound for _, bound in merged)])
+    return sources, coarse + max((bound for _, bound in merged), default=0.0)
 
 
 def _variant_keys(

@@ -39,7 +39,7 @@ DRAFT_LAYERS = 2
 """Depth layers of a proxy, while that is fast enough."""
 DRAFT = {"tolerance": 0.1, "cycles": 0}
 """Options of a proxy: where all moves, steps of the display and the rims of all but the brightest lamps go unseen."""
-DRAFT_LEFT_OUT = ("curved paths", "faint highlights", "last step of the solver")
+DRAFT_LEFT_OUT = ("curved paths", "last step of the solver")
 HIDDEN = "what lies hidden"
 """What a proxy leaves out; the last in one layer only."""
 RESTING_S = 0.05

@@ -81,6 +81,6 @@ def test_what_is_even_or_in_focus_has_no_overlap(monkeypatch):
 
 def test_points_are_spread_evenly_over_lens_and_shutter():
     points = overlap._points()
-    assert np.abs(points.mean(axis=0)).max() < 0.02
+    assert np.abs(points.mean(axis=0)).max() < 1e-12
     assert np.abs((points[:, :2] ** 2).mean(axis=0) - 0.25).max() < 0.01
-    assert abs((points[:, 2] ** 2).mean() - 1.0 / 12.0) < 0.005
+    assert abs((points[:, 2] ** 2).mean() - 1.0 / 12.0) < 0.001

@@ -8,7 +8,6 @@ from spreadlets.api import reconstruct, synthesize
 from spreadlets.metrics import psf_similarity
 from spreadlets.psf import exact
 from spreadlets.runtime.label.labels import View
-from spreadlets.runtime.options import DEFAULT_TOLERANCE
 from spreadlets.runtime.plan import _highlight_kernels, highlights
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -58,7 +57,7 @@ def test_a_rim_lies_where_it_should_and_is_crisp(small_combined, coc):
     assert ((row > 0.1) & (row < 0.9)).sum() <= 1
 
 
-def count_of(frame, database, tolerance=DEFAULT_TOLERANCE):
+def count_of(frame, database):
     """How many pixels are drawn with PSFs of their own."""
     from spreadlets.precompute.models.registry import exact_psf
     from spreadlets.runtime.label.pixels import frame_pixels
@@ -67,8 +66,9 @@ def count_of(frame, database, tolerance=DEFAULT_TOLERANCE):
     passes = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
     keys = [_variant_keys(each, database.grid, database.cell_start)[0] for each in passes]
     model = database.grid.model
-    found = highlights.find_highlights(passes, keys, model, exact_psf(model), tolerance)
-    return sum(int((each >= 0).sum()) for each in found.number)
+    return sum(
+        int((each >= 0).sum()) for each in highlights.find_highlights(passes, keys, model, exact_psf(model)).number
+    )
 
 
 @pytest.mark.parametrize("place", [(MIDDLE, MIDDLE), (0, MIDDLE), (SIZE - 1, SIZE - 1), (3, 1)])
@@ -87,17 +87,9 @@ def test_what_does_not_stand_out_is_none(small_combined):
 def test_light_that_shows_makes_a_highlight(small_combined):
     """Its change of the display is its light over the PSF's area, times the display's slope."""
     area, slope = np.pi * 10.0**2, 1.055 / 2.4 * 0.2 ** (1.0 / 2.4 - 1.0)
-    least = 0.2 + highlights.RIM_CHANGE * DEFAULT_TOLERANCE * area / slope
+    least = 0.2 + highlights.LEAST_CHANGE * area / slope
     lights = 0.97 * least, 1.03 * least
     assert [count_of(lamp_frame(10.0, light=light), small_combined) for light in lights] == [0, 1]
-
-
-def test_a_tolerance_above_a_step_of_the_display_leaves_faint_highlights_to_their_cells(small_combined):
-    area, slope = np.pi * 10.0**2, 1.055 / 2.4 * 0.2 ** (1.0 / 2.4 - 1.0)
-    least = 0.2 + highlights.RIM_CHANGE * 0.05 * area / slope
-    lights = 0.97 * least, 1.03 * least
-    assert [count_of(lamp_frame(10.0, light=light), small_combined, 0.05) for light in lights] == [0, 1]
-    assert count_of(lamp_frame(10.0, light=lights[0]), small_combined, 0.0) == 1
 
 
 def test_the_pixels_of_a_lamp_share_one_psf(small_combined):
