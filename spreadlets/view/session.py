@@ -38,7 +38,7 @@ TOO_SLOW_S, FAST_S = 0.075, 0.03
 DRAFT_LAYERS = 2
 """Depth layers of a proxy, while that is fast enough."""
 DRAFT = {"tolerance": 0.1, "cycles": 0}
-"""Options of a proxy: where all moves, steps of the display and the rims of all but the brightest lamps go unseen."""
+"""Options of a proxy: where all moves, steps of the display go unseen. The solver's last step is left out."""
 DRAFT_LEFT_OUT = ("curved paths", "last step of the solver")
 HIDDEN = "what lies hidden"
 """What a proxy leaves out; the last in one layer only."""
