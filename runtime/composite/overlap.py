@@ -110,12 +110,15 @@ def find_overlap(
     # Choose the tiles in which layers overlap that blur, and look at these.
     blurs = _blurs(sums, moments, max(cells))
     reaches = np.abs(blurs[..., 0]) + np.hypot(blurs[..., 1], blurs[..., 2]) / 2.0
+    if (reaches > LEAST_BLUR).any(axis=(0, 1)).sum() < 2:
+        return None
     padding = TILE + 2 + math.ceil(reaches.max())
     filled = _filled(covers, moments, padding, hiding=hiding)
     wanted = _wanted(filled, reaches, inner, padding, closed=closed)
     if not wanted.any():
         return None
-    covariance = buffer((n_layers, *cells))
+    # Its room is not needed for covers any more.
+    covariance = covers
     for_bands(_overlap_kernels.look_through, tiles[0], _points(), blurs, wanted, inner, padding, filled, covariance)
     return Overlap(covariance, inner, shape)
 

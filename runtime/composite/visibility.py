@@ -100,6 +100,8 @@ class GivenLayer:
 
 def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Overlap | None:
     """Find how the layers of a frame overlap that comes in such, by the sets of pixels of each; see `find_overlap`."""
+    if len(groups) < 2 + closed:
+        return None
     frames, lists, moments = list[tuple[CoverPart, Labels]](), list[CoverPart](), list[Moments | None]()
     for number, group in enumerate(groups):
         # See what each set of its pixels covers.
