@@ -10,7 +10,7 @@ import numpy.typing as npt
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
-from spreadlets.runtime.composite.layers import CoverPart, Moments
+from spreadlets.runtime.composite.layers import CoverPart
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
@@ -102,27 +102,19 @@ def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Ov
     """Find how the layers of a frame overlap that comes in such, by the sets of pixels of each; see `find_overlap`."""
     if len(groups) < 2 + closed:
         return None
-    frames, lists, moments = list[tuple[CoverPart, Labels]](), list[CoverPart](), list[Moments | None]()
+    frames, lists, labelled = list[tuple[CoverPart, Labels]](), list[CoverPart](), []
     for number, group in enumerate(groups):
-        # See what each set of its pixels covers.
+        # All of a set's pixels lie in its layer.
         for pixels in group:
-            shape = pixels.labels.coc.shape
-            part = CoverPart(
-                pixels.radiance[..., 3] * (pixels.weight if pixels.weight.size else np.float32(1.0)),
-                np.full(shape, number, np.float32),
-                None if pixels.labels.view.places is None else pixels.labels.view.places.at,
-            )
+            shape, labels = pixels.labels.coc.shape, pixels.labels
+            whole = Membership(np.zeros(shape, np.int32), np.full(shape, number, np.int32), np.zeros(shape, np.float32))
+            part = layers.cover_part(whole, pixels)
+            labelled.append((pixels, labels.whole_path, whole))
             if part.at is None:
-                frames.append((part, pixels.labels))
+                frames.append((part, labels))
             else:
                 lists.append(part)
-        # Find how it blurs in the mean.
-        whole = [
-            Membership(np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(shape, np.float32))
-            for shape in (each.labels.coc.shape for each in group)
-        ]
-        given = [(each, each.labels.whole_path, own) for each, own in zip(group, whole, strict=True)]
-        moments += layers.layer_moments(given, 1)
+    moments = layers.layer_moments(labelled, len(groups))
     return find_overlap(frames, lists, moments, closed=closed, hiding=False)
 
 
