@@ -25,7 +25,11 @@ MISSED_REACH = 16
 
 @helper
 def _edge_kind(line, start, gap):
-    """Return 1 if an edge jumps right behind a place of a line, 2 if it passes through one to three others, else 0."""
+    """Return 1 if an edge jumps right behind a place of a line, 2 if it passes through one to three others, else 0.
+
+    It leads from what is flat to what is flat, too, or to the ridge of something thin, behind which there is again what
+    there was before.
+    """
     first = line[start]
     for step in range(1, min(5, len(line) - 1 - start)):
         here = line[start + step]
@@ -33,9 +37,22 @@ def _edge_kind(line, start, gap):
         if rise * (here - line[start + step - 1]) <= 0.0:
             return 0
         flat = FLATNESS * abs(rise)
-        if abs(rise) >= gap and abs(first - line[start - 1]) <= flat and abs(line[start + step + 1] - here) <= flat:
+        if abs(rise) < gap or abs(first - line[start - 1]) > flat:
+            continue
+        if abs(line[start + step + 1] - here) <= flat or _returns(line, start, start + step, flat):
             return 1 if step == 1 else 2
     return 0
+
+
+@helper
+def _returns(line, start, ridge, flat):
+    """Return whether a line falls behind a ridge, within a few places, to what it was at its start, and stays there."""
+    for end in range(ridge + 1, min(ridge + 5, len(line) - 1)):
+        if (line[end] - line[end - 1]) * (line[ridge] - line[start]) >= 0.0:
+            return False
+        if abs(line[end] - line[start]) <= flat:
+            return abs(line[end + 1] - line[start]) <= flat
+    return False
 
 
 @kernel

@@ -472,28 +472,35 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
     radiance : ndarray of shape (H, W, 4), float32
     gap : float
     mixed : ndarray of shape (h, w), bool
-        The tiles in which there may be some.
+        The tiles in which there may be some; filled with those in which there are. ``begin`` and ``end`` count its
+        rows.
     columns : ndarray of shape (H, W), int32
         Filled from the left.
     counts : ndarray of shape (H,), int64
         Filled.
     """
     ranges = np.empty((4, TILE + 2 * REACH), np.float32)
-    for row in range(begin, end):
-        count = 0
-        for across in range(mixed.shape[1]):
-            if not mixed[row // TILE, across]:
-                continue
-            first = across * TILE
-            _range_columns(place, row, first - REACH, ranges)
-            for col in range(first, min(first + TILE, place.shape[1])):
-                if place[row, col] == np.inf or _spread(ranges[2], ranges[3], col - first, 2 * REACH + 1) < gap:
+    listed = np.empty(mixed.shape[1], np.bool_)
+    for number in range(begin, end):
+        listed[:] = False
+        for row in range(number * TILE, min((number + 1) * TILE, place.shape[0])):
+            count = 0
+            for across in range(mixed.shape[1]):
+                if not mixed[number, across]:
                     continue
-                ends = _spread(ranges[0], ranges[1], col - first + REACH - 1, 3) >= gap
-                if ends or _is_outshone(radiance, row, col):
-                    columns[row, count] = col
-                    count += 1
-        counts[row] = count
+                first = across * TILE
+                _range_columns(place, row, first - REACH, ranges)
+                for col in range(first, min(first + TILE, place.shape[1])):
+                    wide = _spread(ranges[2], ranges[3], col - first, 2 * REACH + 1)
+                    if place[row, col] == np.inf or wide < gap:
+                        continue
+                    ends = _spread(ranges[0], ranges[1], col - first + REACH - 1, 3) >= gap
+                    if ends or _is_outshone(radiance, row, col):
+                        columns[row, count] = col
+                        count += 1
+                        listed[across] = True
+            counts[row] = count
+        mixed[number] = listed
 
 
 @kernel

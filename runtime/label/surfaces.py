@@ -97,11 +97,10 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     -----
     Bayesian matting (Chuang et al. 2001) in closed form, for up to three surfaces, whose depths are known.
     """
-    # Undo a filter of the depth.
     height, width = layer.shape
     layer = without_nothing(layer)
     place, known = places(layer, camera), np.full(layer.shape, -1.0, np.float32)
-    if depth_is_noise(place):
+    if not _mixed_tiles(place).any() or depth_is_noise(place):
         # There are no surfaces to tell apart.
         yield Surface(layer)
         return
@@ -113,12 +112,16 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     point = place
     layer, place = without_gaps(layer, place)
     # List the pixels around which places differ.
-    mixed, near = _tiles(place)
+    mixed = _mixed_tiles(place)
     columns, starts = np.empty(layer.shape, np.int32), np.zeros(height + 1, np.int64)
-    for_bands(_surface_kernels.list_mixed, height, place, layer.radiance, LEAST_GAP, mixed, columns, starts[1:])
+    for_bands(_surface_kernels.list_mixed, len(mixed), place, layer.radiance, LEAST_GAP, mixed, columns, starts[1:])
     np.cumsum(starts, out=starts)
+    if not starts[-1]:
+        yield Surface(layer)
+        return
     # Divide them among the surfaces around them.
-    weights = weigh_pixels(place, point, layer.radiance, near)
+    # Their colours are told by pixels of their tiles, and of those beside them.
+    weights = weigh_pixels(place, point, layer.radiance, largest_around(mixed, 1))
     n, most = int(starts[-1]), _surface_kernels.MOST
     first = np.ones(layer.shape, np.float32), copied(layer.radiance)
     found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
@@ -149,13 +152,12 @@ def weigh_pixels(
     return weights
 
 
-def _tiles(place: Image) -> tuple[BoolArray, BoolArray]:
-    """Return the tiles of pixels in which there may be mixed ones, and those in which pixels may tell of these."""
+def _mixed_tiles(place: Image) -> BoolArray:
+    """Return the tiles of pixels in which there may be mixed ones."""
     low, high = np.empty((2, *tiling(place.shape, _surface_kernels.TILE)), np.float32)
     for_bands(_surface_kernels.place_range, len(low), place, low, high)
     # No pixel of a tile reaches farther than those beside it.
-    mixed = largest_around(high, 1) + largest_around(-low, 1) >= LEAST_GAP
-    return mixed, largest_around(mixed, 1)
+    return largest_around(high, 1) + largest_around(-low, 1) >= LEAST_GAP
 
 
 def undivided(layer: Layer, camera: ThinLens) -> list[Surface]:
