@@ -16,6 +16,8 @@ LOOK, LEAST_LOOK = 2, 6
 """A strand is looked for beyond the ends of a gap over so many times the gap's length, and at least so many pixels."""
 LEAST_HITS = 2
 """Its pixels that must lie there, beyond each end."""
+SEEN_REACH = 2
+"""How far, px, from a pixel in a gap its surface must show once more: so far the surfaces of a pixel are looked for."""
 
 
 @kernel
@@ -134,9 +136,22 @@ def find_gaps(begin, end, place, thin, gap, ends):
                         ends[row, col, 0], ends[row, col, 1] = down, across
 
 
+@helper
+def _is_seen_beside(place, row, col, gap):
+    """Return whether a pixel's surface shows in another pixel near it, too, which can tell its colour and labels."""
+    height, width = place.shape
+    for i in range(max(row - SEEN_REACH, 0), min(row + SEEN_REACH + 1, height)):
+        for j in range(max(col - SEEN_REACH, 0), min(col + SEEN_REACH + 1, width)):
+            if (i != row or j != col) and abs(place[i, j] - place[row, col]) < gap:
+                return True
+    return False
+
+
 @kernel
 def close_gaps(begin, end, place, ends, gap, closed, source):
     """Put strands into their gaps, where nothing nearer hides them. All rows are done in one call.
+
+    Not over the only pixel of what shows between them, say of the sky: its light would be taken for the strand's.
 
     Parameters
     ----------
@@ -156,6 +171,6 @@ def close_gaps(begin, end, place, ends, gap, closed, source):
             for step in range(1, steps):
                 at = on_line(row, col, down, across, step, steps)
                 y, x = (row, col) if 2 * step < steps else (row + down, col + across)
-                if closed[at] - place[y, x] >= gap:
+                if closed[at] - place[y, x] >= gap and _is_seen_beside(closed, at[0], at[1], gap):
                     closed[at] = place[y, x]
                     source[at[0], at[1], 0], source[at[0], at[1], 1] = y, x
