@@ -235,6 +235,8 @@ def _edge_share(place, row, col, low, high, which, number, along, longest):
 
     Point samples of a straight edge are a staircase. Its mean along the edge, interpolated linearly, is the edge as a
     filter about 2 px wide shows it. The direction is that of the least change around the pixel (structure tensor).
+    The second number is by how much more there is a pixel to either side of the edge, as a mean: times a half of what
+    a filter's variance is larger by, px^2, it is what a wider filter changes.
     """
     # Sum up the structure tensor of the marks (Sobel gradients).
     xx = yy = xy = 0.0
@@ -249,7 +251,7 @@ def _edge_share(place, row, col, low, high, which, number, along, longest):
             yy += weight * (down * down)
             xy += weight * (across * down)
     if xx + yy == 0.0:
-        return np.float64(low <= place[row, col] <= high)
+        return np.float64(low <= place[row, col] <= high), 0.0
     # Turn into the direction of least change, and filter the longer, the straighter the edge is.
     size = math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
     double_cosine = (xx - yy) / size if size > 0.0 else 1.0
@@ -259,14 +261,24 @@ def _edge_share(place, row, col, low, high, which, number, along, longest):
     # Filter along it, with bilinear interpolation; each Gaussian weight follows from the one before.
     weight, ratio = 1.0, falloff
     total, share = 1.0, np.float64(low <= place[row, col] <= high)
+    beside = _share_beside(place, row, col, step_row, step_col, low, high)
     for step in range(1, longest + 1):
         weight, ratio = weight * ratio, ratio * falloff * falloff
         if weight < NEGLIGIBLE:
             break
         total += 2.0 * weight
         for side in (-step, step):
-            share += weight * _share_between(place, row + side * step_row, col + side * step_col, low, high)
-    return share / total
+            y, x = row + side * step_row, col + side * step_col
+            share += weight * _share_between(place, y, x, low, high)
+            beside += weight * _share_beside(place, y, x, step_row, step_col, low, high)
+    return share / total, (beside - 2.0 * share) / total
+
+
+@helper
+def _share_beside(place, y, x, step_row, step_col, low, high):
+    """Return the sum of the shares a pixel to either side of a point of an edge."""
+    one = _share_between(place, y + step_col, x - step_row, low, high)
+    return one + _share_between(place, y - step_col, x + step_row, low, high)
 
 
 @helper
@@ -503,21 +515,102 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
         mixed[number] = listed
 
 
+@helper
+def _work():
+    """Return the arrays that `_explain` fills, see there, and those that it needs besides."""
+    window, side = (2 * REACH + 1) ** 2, 2 * COLOUR_REACH + 1
+    spare = np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)
+    found = np.empty((side, side), np.int8), np.empty(MOST), np.empty(MOST), np.empty((MOST, 4)), np.empty((MOST, 4))
+    return found, spare, np.empty((MOST, 2)), np.empty((MOST, 13)), np.empty((side, side))
+
+
+@helper
+def _explain(given, row, col, gap, work):
+    """Find the surfaces around a pixel, guess their shares, and learn their colours; return the number of surfaces.
+
+    Parameters
+    ----------
+    given : tuple
+        See `divide_pixels`.
+    work : tuple
+        See `_work`. The first is filled: number of the surface that each pixel around is of, see `_number_surfaces`;
+        shares (MOST,), which sum to 1, and what is to be added to them for each px^2 of half the variance that the
+        filter has beyond that of a tent 2 px wide; mean and variance of the colours (MOST, 4).
+    """
+    place, point, radiance, weights = given
+    (which, each, wider, mean, variance), spare, bounds, sums, counts = work
+    count = _surfaces_around(place, row, col, gap, spare, bounds)
+    if count < 2:
+        return 0
+    # Guess the shares.
+    _number_surfaces(place, row, col, bounds, which)
+    along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
+    total, each[2], wider[2] = 0.0, 0.0, 0.0
+    for s in range(count):
+        each[s], wider[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
+        total += each[s]
+    if total == 0.0:
+        return 0
+    for s in range(count):
+        each[s], wider[s] = each[s] / total, wider[s] / total
+    # Learn the colours.
+    _add_colours(radiance, weights, row, col, which, count, counts, sums)
+    _colour_models(count, sums, mean, variance)
+    return count
+
+
 @kernel
-def divide_pixels(begin, end, given, listed, gap, first, found):
+def measure_filter(begin, end, given, listed, gap, stride, sums):
+    """Sum up what some mixed pixels tell of the filter that made them.
+
+    With shares for a tent 2 px wide, and a change of them for a wider filter, the pixels' colours tell by least squares
+    how much of that change there is.
+
+    Parameters
+    ----------
+    given, listed, gap
+        See `divide_pixels`.
+    stride : int
+        Every so many-eth of a row's listed pixels is looked at.
+    sums : ndarray of shape (H, 2), float64
+        Filled for each row: what the change explains of what is missing of the colours, and its own square, both over
+        the variance.
+    """
+    radiance, work = given[2], _work()
+    _, each, wider, mean, variance = work[0]
+    for row in range(begin, end):
+        sums[row] = 0.0
+        for number in range(0, listed[1][row + 1] - listed[1][row], stride):
+            col = listed[0][row, number]
+            count = _explain(given, row, col, gap, work)
+            for c in range(3 if count else 0):
+                missing, change, noise = np.float64(radiance[row, col, c]), 0.0, 1e-8
+                for s in range(count):
+                    missing -= each[s] * mean[s, c]
+                    change += wider[s] * mean[s, c]
+                    noise += each[s] ** 2 * variance[s, c] + (TRUST_NEAR * (mean[s, c] - mean[0, c])) ** 2
+                sums[row, 0] += missing * change / noise
+                sums[row, 1] += change * change / noise
+
+
+@kernel
+def divide_pixels(begin, end, given, known, listed, gap, widening, first, found):
     """Explain mixed pixels by up to `MOST` surfaces around them, their own first.
 
     Parameters
     ----------
-    given : tuple of place, point, radiance, weights and known
+    given : tuple of place, point, radiance and weights
         ``place`` (H, W), float32: where surfaces lie in depth, as CoC radii, px; infinite where there is nothing; and
         ``point`` (H, W), float32: the same before the gaps of strands were closed.
-        ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`. ``known`` (H, W), float32: share of the nearer
-        of two surfaces where the depth tells it, else -1.
+        ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`.
+    known : ndarray of shape (H, W), float32
+        Share of the nearer of two surfaces where the depth tells it, else -1.
     listed : tuple of ndarrays of shapes (H, W) and (H + 1,), int32 and int64
         The pixels: columns of each row, see `list_mixed`, and number of the first of each row.
     gap : float
         Difference of places that parts two surfaces.
+    widening : float
+        Half of what the variance of the pixels' filter is larger by than that of a tent 2 px wide, px^2.
     first : tuple of ndarrays of shapes (H, W) and (H, W, 4), float32
         Coverage and colour of the pixel's own surface; changed where it has others.
     found : tuple of ndarrays of shapes (n, 2), (n, MOST), (n, MOST, 2) and (n, MOST, 4), int32 and float32 in turn
@@ -529,12 +622,9 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
     int
         Number of pixels with more than one surface.
     """
-    place, point, radiance, weights, known = given
-    window = (2 * REACH + 1) ** 2
-    spare, bounds = (np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)), np.empty((MOST, 2))
-    which = np.empty((2 * COLOUR_REACH + 1, 2 * COLOUR_REACH + 1), np.int8)
-    sums, mean, variance = np.empty((MOST, 13)), np.empty((MOST, 4)), np.empty((MOST, 4))
-    each, trust, counts = np.empty(MOST), np.ones(MOST), np.empty(which.shape)
+    place, _, radiance, weights = given
+    work, trust = _work(), np.ones(MOST)
+    (which, each, wider, mean, variance), bounds = work[0], work[2]
     mixed = 0
     for row in range(begin, end):
         for number in range(listed[1][row], listed[1][row + 1]):
@@ -544,18 +634,14 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
             for s in range(MOST):
                 shares[s] = 0.0
             # Find the surfaces around the pixel.
-            count = _surfaces_around(place, row, col, gap, spare, bounds)
-            if count < 2:
+            count = _explain(given, row, col, gap, work)
+            if count == 0:
                 continue
-            # Guess their shares by the edge, or take those that a filtered depth told.
-            _number_surfaces(place, row, col, bounds, which)
-            total, each[2] = 0.0, 0.0
-            along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
+            # Their shares are those for the frame's filter, or those that a filtered depth told.
+            total = 0.0
             for s in range(count):
-                each[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
+                each[s] = max(each[s] + widening * wider[s], 0.0)
                 total += each[s]
-            if total == 0.0:
-                continue
             for s in range(count):
                 each[s] /= total
             _find_sources(weights[0], row, col, which, count, sources, trust)
@@ -564,8 +650,6 @@ def divide_pixels(begin, end, given, listed, gap, first, found):
                 each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
                 trust[1] = TRUST_DEPTH
             # Fit the shares to the pixel's colour.
-            _add_colours(radiance, weights, row, col, which, count, counts, sums)
-            _colour_models(count, sums, mean, variance)
             _fit_shares(radiance[row, col], mean, variance, trust, count, each)
             if each[0] == 1.0:
                 continue

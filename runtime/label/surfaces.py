@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import BoolArray, Image
+from spreadlets.arrays import BoolArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.buffers import copied
 from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels, _width_kernels
@@ -29,6 +29,14 @@ SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
+FILTER_PIXELS = 1 << 13
+"""About so many mixed pixels tell how wide the filter is."""
+USUAL_WIDENING, WIDENINGS = 0.03, (-0.05, 0.2)
+"""Half of what a filter's variance is larger by than that of a tent, px^2: usually, and at least and most."""
+SURE = 200.0
+"""What mixed pixels must tell of the filter to be believed as much as that."""
+DOUBT = 0.03
+"""The same of the doubt about the place of an edge, of which point samples tell the pixel."""
 EMPTY_PIXELS = 1 << 16
 """About so many pixels are looked at to find the depth of nothing."""
 NOISE_SHARE = 0.1
@@ -126,8 +134,10 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     first = np.ones(layer.shape, np.float32), copied(layer.radiance)
     found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
     colours = np.empty((n, most, 4), np.float32)
-    given = (place, point, layer.radiance, weights, known), (columns, starts), LEAST_GAP, first, (*found, colours)
-    if not sum(for_bands(_surface_kernels.divide_pixels, height, *given)):
+    given, listed = (place, point, layer.radiance, weights), (columns, starts)
+    widening = filter_widening(given, listed)
+    divided = known, listed, LEAST_GAP, widening, first, (*found, colours)
+    if not sum(for_bands(_surface_kernels.divide_pixels, height, given, *divided)):
         yield Surface(layer)
         return
     even_strands(place, layer.radiance, first, (*found, colours))
@@ -140,6 +150,29 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
             listed = share[index, number]
             listed.ravel()[len(chosen) :] = 0.0
             yield Surface(_surface(layer, colours[index, number], taken), listed, at[index])
+
+
+def filter_widening(
+    given: tuple[Image, Image, Image, tuple[Image, Image, Image]], listed: tuple[Indices, IntArray]
+) -> float:
+    """Guess from mixed pixels by how much their filter is wider than a tent 2 px wide, see the kernels.
+
+    Parameters
+    ----------
+    given, listed : tuple
+        See `_surface_kernels.divide_pixels`.
+
+    Returns
+    -------
+    float
+        Half of the difference of their variances, px^2.
+    """
+    height, n = len(given[0]), int(listed[1][-1])
+    sums = np.empty((height, 2))
+    stride = max(1, n // FILTER_PIXELS)
+    for_bands(_surface_kernels.measure_filter, height, given, listed, LEAST_GAP, stride, sums)
+    told, certainty = sums.sum(axis=0)
+    return DOUBT + float(np.clip((told + USUAL_WIDENING * SURE) / (certainty + SURE), *WIDENINGS))
 
 
 def weigh_pixels(

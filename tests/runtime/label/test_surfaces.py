@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from spreadlets.runtime.label import _gap_kernels, surfaces
 from spreadlets.runtime.label.surfaces import (
+    LEAST_GAP,
     SharedSurfaces,
     depth_is_filtered,
     depth_is_noise,
@@ -143,6 +145,40 @@ def test_filtered_depth_is_told_from_point_samples(shape):
         assert depth_is_filtered(place) == filtered or shape is not edge
 
 
+def thread(x, y):
+    return np.abs(x - 0.5 * y - 6.2) < 0.4
+
+
+def test_a_thread_without_a_pixel_of_its_own_tells_whether_depth_is_filtered():
+    for filtered in (False, True):
+        layer, _ = drawn(thread, filtered=filtered)
+        assert depth_is_filtered(surfaces.places(layer, CAMERA)) == filtered
+
+
+def smoothed(layer, variance):
+    """Return a layer whose colours were filtered further."""
+    beside = np.full(1, 0.5 * variance)
+    taps = np.concatenate([beside, 1.0 - 2.0 * beside, beside])
+    colours = ndimage.convolve1d(ndimage.convolve1d(layer.radiance, taps, axis=0), taps, axis=1)
+    return replace(layer, radiance=colours.astype(np.float32))
+
+
+def test_the_width_of_the_filter_is_told_by_the_colours_of_edges(monkeypatch):
+    told = []
+    measured = surfaces.filter_widening
+    monkeypatch.setattr(surfaces, "filter_widening", lambda *given: told.append(measured(*given)) or told[-1])
+    layer, _ = drawn(dot_of_many_edges, size=64)
+    for variance in (0.0, 0.15, 0.3):
+        list(split_surfaces(smoothed(layer, variance), CAMERA))
+    # Half of the variance of a box is less by 1 / 24 than that of a tent 2 px wide.
+    assert told[0] == pytest.approx(surfaces.DOUBT - 1 / 24, abs=0.03)
+    assert np.diff(told) == pytest.approx(0.075, abs=0.03)
+
+
+def dot_of_many_edges(x, y):
+    return np.hypot(x - 31.3, y - 31.9) < 21.0
+
+
 def test_noise_is_told_from_hair_and_is_not_divided():
     rng, size = np.random.default_rng(0), 256
     hair = np.full((size, size), 30.0, np.float32)
@@ -247,6 +283,21 @@ def test_strands_have_no_gaps():
     light = sum(share * (each.depth < 3.0) * (each.radiance[..., 0] - BLUE[0]) for each, share in passes)
     wanted = coverage.sum(axis=1) * (RED[0] - BLUE[0])
     assert np.abs((light.sum(axis=1) - wanted)[6:-6]).mean() < 0.1 * wanted.mean()
+
+
+@pytest.mark.interpreted
+def test_a_gap_is_not_closed_over_the_only_pixel_of_what_is_seen_in_it():
+    place = np.zeros((16, 16), np.float32)
+    place[:, 7] = -4.0
+    place[8, 7] = 3.0
+    for beside, closed in ((0.0, 3.0), (3.0, -4.0)):
+        place[6, 5] = beside
+        ends, found = np.empty((16, 16, 2), np.int8), place.copy()
+        thin = surfaces._thin(place)
+        _gap_kernels.find_gaps(0, 16, place, thin, LEAST_GAP, ends)
+        assert ends[7, 7].tolist() == [2, 0]
+        _gap_kernels.close_gaps(0, 16, place, ends, LEAST_GAP, found, np.zeros((16, 16, 2), np.int32))
+        assert found[8, 7] == closed
 
 
 @pytest.mark.interpreted
