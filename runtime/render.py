@@ -17,6 +17,7 @@ from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
+from spreadlets.runtime.composite.haze import BlurredShare, Haze
 from spreadlets.runtime.composite.visibility import (
     GivenLayer,
     PassingSamples,
@@ -67,6 +68,7 @@ def synthesize(
     exact_psf: ExactPsf | None = None,
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
+    blurred_share: BlurredShare | None = None,
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -89,6 +91,8 @@ def synthesize(
         What divides mixed pixels between their surfaces.
     neighbours : sequence of Frame
         The frames right before or after, of one layer each: what they show of what is hidden in a frame of one layer.
+    blurred_share : callable, optional
+        How a medium lets layers hide each other, see `runtime.composite.haze`.
 
     Returns
     -------
@@ -102,7 +106,7 @@ def synthesize(
     looked for, see `runtime.plan.behind`. A frame that comes in layers is taken as it is, unless a number of depth
     layers is asked for: then the pixels of all its layers are distributed anew.
     """
-    given = camera, database, options, clock, dense_psf, exact_psf, split, neighbours
+    given = camera, database, options, clock, dense_psf, exact_psf, split, neighbours, blurred_share
     images, report = synthesize_all([frame], *given)
     return images[0], report
 
@@ -117,6 +121,7 @@ def synthesize_all(
     exact_psf: ExactPsf | None = None,
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
+    blurred_share: BlurredShare | None = None,
 ) -> tuple[list[Image], Report]:
     """Blur frames that differ in their colours only, all by the plan of the first.
 
@@ -124,7 +129,7 @@ def synthesize_all(
     ----------
     frames : sequence of Frame
         At least one. The colours of the first say which surfaces a pixel shows, and which pixels are highlights.
-    camera, database, options, clock, dense_psf, exact_psf, split
+    camera, database, options, clock, dense_psf, exact_psf, split, blurred_share
         As for `synthesize`.
     neighbours : sequence of Frame
         As there, if there is but one frame.
@@ -161,7 +166,7 @@ def synthesize_all(
         if len(shown[0]) == 1:
             images = _drawn_by_depth([each[0] for each in shown], *given, neighbours=around, closed=closed)
         else:
-            images = _drawn_in_layers(shown, *given, closed=closed)
+            images = _drawn_in_layers(shown, *given, closed=closed, blurred_share=blurred_share)
     images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
     return images, Report.of(clock, plan_figures(tally, database))
 
@@ -216,6 +221,7 @@ def _drawn_in_layers(
     split: Split,
     *,
     closed: bool,
+    blurred_share: BlurredShare | None,
 ) -> list[Image]:
     """Draw frames that come in layers, all by the plans of the first, whose last layer is opaque if ``closed``."""
     with clock.step("plan"):
@@ -231,14 +237,22 @@ def _drawn_in_layers(
     if options.layers is not None:
         given = [[[pixels for group in groups for pixels in group]] for groups in given]
     images = [np.zeros((*shown[0][0].shape, 4), np.float32) for _ in shown]
+    hazes = [Haze(shown[0], blurred_share) for _ in shown] if blurred_share and len(given[0]) > 1 else []
     for number, (group, *others) in enumerate(zip(*given, strict=True)):
         with clock.step("plan"):
             plan = draw(group, n_layers=options.layers or 1)
             plans = [plan, *(plan.coloured(each) for each in others)]
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
             last = closed and number == len(given[0]) - 1
-        visibility = GivenLayer(number, overlap)
-        _add_plans(images, plans, visibility, options, clock, tally, closed=last)
+        # In a medium, what is hidden of a layer depends on how far beyond the nearer ones it lies.
+        for haze, image in zip(hazes, images, strict=False):
+            haze.hide(image, number)
+        _add_plans(images, plans, GivenLayer(number, overlap), options, clock, tally, closed=last)
+        for haze, image in zip(hazes, images, strict=False):
+            haze.add(image)
+    for haze, image in zip(hazes, images, strict=False):
+        if not closed:
+            haze.hide(image)
     return images
 
 

@@ -15,8 +15,9 @@ from blocks import FRAME, make_motion_even
 from mathutils import Matrix, Vector
 from shot import SENSOR_MM, Shot
 
-POINT_FILTER = 0.01
-"""Width of the filter that samples at one point of a pixel, px: the least that Cycles takes."""
+POINT_FILTER = "BLACKMAN_HARRIS", 0.01
+"""Type and width, px, of the filter that samples at one point of a pixel: the least width that Cycles takes. It makes a
+box 1 px wide, whatever it is told."""
 FILTER_WIDTH = {"BOX": 1.0, "BLACKMAN_HARRIS": 1.5}
 BOUNCES = ("max", "diffuse", "glossy", "transmission", "volume")
 
@@ -125,8 +126,8 @@ class Renderer:
         make_motion_even()
         cycles, shot = scene.cycles, self.shot
         cycles.samples, cycles.seed = samples, seed
-        cycles.pixel_filter_type = "BOX" if points else shot.pixel_filter
-        cycles.filter_width = POINT_FILTER if points else FILTER_WIDTH[shot.pixel_filter]
+        own = shot.pixel_filter, FILTER_WIDTH[shot.pixel_filter]
+        cycles.pixel_filter_type, cycles.filter_width = POINT_FILTER if points else own
         self.camera.data.dof.use_dof, scene.render.use_motion_blur = defocus, motion_blur
         scene.view_layers[0].use_pass_vector = not motion_blur
         scene.render.film_transparent = layer is not None

@@ -1,4 +1,4 @@
-"""PSFs in full, traced by one half of the tree for the other: for methods that draw them, and for highlights."""
+"""What one half of the tree traces for the other: PSFs in full, for methods that draw them and for highlights; haze."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from spreadlets.psf.database_file import refusing
 
 if TYPE_CHECKING:
     from spreadlets.psf.exact import ExactPsf
+    from spreadlets.runtime.composite.haze import BlurredShare
     from spreadlets.runtime.options import Options
 
 
@@ -46,3 +47,11 @@ def full_psfs(opened: Database, options: Options) -> tuple[DensePsfs | None, Exa
     dense_psfs = DensePsfs(opened, by_rows=options.method == "dense-rows") if options.draws_in_full else None
     with refusing(opened.path):  # the model's settings are the file's
         return dense_psfs, exact_psf(opened.grid.model)
+
+
+def blurred_share(opened: Database) -> BlurredShare | None:
+    """Return how much of a layer's opacity is blurred to one beyond; None where there is no medium between."""
+    from spreadlets.precompute.models import registry
+
+    with refusing(opened.path):  # the model's settings are the file's
+        return registry.blurred_share(opened.grid.model)

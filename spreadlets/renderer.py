@@ -16,7 +16,7 @@ import numpy as np
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.bokeh import BokehCache, Progress
 from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, LeftOutError, option
-from spreadlets.full_psfs import full_psfs
+from spreadlets.full_psfs import blurred_share, full_psfs
 from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database, shared_database
 from spreadlets.scene.camera import ThinLens
@@ -316,7 +316,7 @@ class Renderer:
         try:
             psfs = full_psfs(database, options)
             neighbours = [smaller(each, options.proxy) for each in self._neighbours]
-            given = (*psfs, self._split, neighbours)
+            given = (*psfs, self._split, neighbours, blurred_share(database))
             images, figures = render.synthesize_all(frames, camera, database, options, clock, *given)
         except LeftOutError as error:
             if self._bokeh is None:

@@ -39,11 +39,14 @@ class ModelEntry(NamedTuple):
         What makes the PSFs of a model on a side of the focus (1 behind, -1 in front).
     exact : callable
         What makes the PSFs of single coordinates for a model; None if its cells are so fine that they are exact.
+    blurred_share : callable, optional
+        How much of a layer's opacity is blurred to one beyond, for a model and two distances; by default all.
     """
 
     read_settings: Callable[..., dict[str, Any]]
     tracer: Callable[[PsfModel, int], Tracer | Painter]
     exact: Callable[[PsfModel], ExactPsf | None]
+    blurred_share: Callable[[PsfModel, float, float], float] | None = None
 
 
 def _thin_lens(own: Tracer) -> Callable[[PsfModel, int], Tracer]:
@@ -73,7 +76,7 @@ REGISTRY = {
     "stylized": ModelEntry(
         stylized.read_settings, stylized.tracer, lambda model: CachedPsfs(stylized.image_psf(model))
     ),
-    "volume": ModelEntry(volume.read_settings, volume.tracer, lambda model: None),
+    "volume": ModelEntry(volume.read_settings, volume.tracer, lambda model: None, volume.blurred_share),
 }
 
 _EXACT: dict[tuple[str, str], ExactPsf | None] = {}
@@ -95,6 +98,22 @@ def exact_psf(model: PsfModel) -> ExactPsf | None:
     if key not in _EXACT:
         _EXACT[key] = REGISTRY[model.name].exact(model)
     return _EXACT[key]
+
+
+def blurred_share(model: PsfModel) -> Callable[[float, float], float] | None:
+    """Return what tells how much of a layer's opacity is blurred to one beyond; None if all of it always is.
+
+    Parameters
+    ----------
+    model : PsfModel
+
+    Returns
+    -------
+    callable or None
+        Of the distances of the nearer layer and the farther one, metres.
+    """
+    share = REGISTRY[model.name].blurred_share
+    return None if share is None else partial(share, model)
 
 
 def trace_psf(

@@ -51,6 +51,12 @@ N_BLOCKS = 8
 """Sets of paths that are traced independently and then summed in order: the same sum for any number of threads."""
 
 
+HIDING_PATHS, HIDING_SEED = 1 << 16, 0
+"""Of each of the three tracings that tell what a layer hides: to .01 of `blurred_share`."""
+LEAST_GAP = 0.01
+"""Distance of two layers, as a share of the farther one's, below which what passes one meets the other."""
+
+
 class Medium(NamedTuple):
     """A homogeneous medium.
 
@@ -192,6 +198,48 @@ def trace_paths(
     return Tally(
         *(scattered * rings.sum(axis=0), direct, scattered * absorbed.sum(axis=0), scattered * lost.sum(axis=0))
     )
+
+
+def blurred_share(model: PsfModel, near_m: float, far_m: float) -> float:
+    """Return how much of a layer's opacity is blurred, as its light is, to what lies beyond; the rest is not.
+
+    What is not scattered before a layer meets it where it is seen. Of the layer's own light that is the spike of its
+    PSF; of the light of a farther layer that ends within the radius of a PSF it is more.
+
+    Parameters
+    ----------
+    model : PsfModel
+    near_m, far_m : float
+        Distances of the layer and of the one beyond, metres; what is farther than the database is as far as that.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+
+    Notes
+    -----
+    Paths that reach the nearer layer without a collision start anew there, so that light of the farther one that ends
+    within a radius is that of its distance from the nearer one, within as many metres.
+    """
+    medium, radius = Medium(**model.settings["medium"]), model.settings["psf_radius_px"]
+    near, far = (min(each, model.settings["max_distance_m"]) for each in (near_m, far_m))
+    gap = far - near
+    if near <= 0.0 or gap < LEAST_GAP * far:
+        return 1.0
+    # Find the shares that are not scattered before the nearer layer: of the farther one's light, and of its own.
+    straight = math.exp(-medium.density_per_m * near)
+    passing = straight * _arriving(model, gap, radius * far / gap) / _arriving(model, far, radius)
+    own = straight / _arriving(model, near, radius)
+    # Blur as much of the opacity that just the first share meets it right there.
+    return min(max((1.0 - passing) / (1.0 - own), 0.0), 1.0)
+
+
+def _arriving(model: PsfModel, distance_m: float, radius: float) -> float:
+    """Return the share of paths, in the mean of all channels, that reach a plane within a radius, px."""
+    medium, focal_length_px = Medium(**model.settings["medium"]), model.settings["view"]["focal_length_px"]
+    tally = trace_paths(medium, (distance_m, distance_m), focal_length_px, radius, HIDING_PATHS, HIDING_SEED)
+    return float(tally.direct + tally.rings[:-1].sum(axis=0).mean())
 
 
 def draw_rings(rings: DoubleArray, direct: float) -> DoubleArray:

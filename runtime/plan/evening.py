@@ -2,10 +2,15 @@
 
 A sample in a gap stands for more of its surface than one in a cluster. Weighed by the area that it stands for, samples
 make a mean that is less noisy by much: as of places spread evenly, not at random.
+
+Samples also lie closely where a small surface hides only part of another: through the lens both are seen at one place.
+That is no cluster. So no surface gives weight to another: means of weights are 1 over samples side by side at like
+depths.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,8 +22,10 @@ from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan import _evening_kernels
 from spreadlets.runtime.plan.layering import Layering
 
-SURROUNDINGS_PX = 4
-"""Weights are 1 in the mean over the pixels this far to all sides: how much of a surface was seen is left as it is."""
+CELL_PX, N_STEPS = 5, 128
+"""Weights are 1 in the mean over cells of so many pixels and so many steps of parallax, and between them: how much of a
+surface was seen is left as it is. By layers alone, lamps before a wall lost 14 % of their light, with 64 steps 4 %, and
+with 128 or 256 less than 1 %."""
 USUAL_PX = 3
 """How far to all sides the box reaches that, applied twice, tells how many samples are usual around."""
 MARGIN_PX = 64
@@ -26,34 +33,43 @@ MARGIN_PX = 64
 
 
 def evened(pixel_sets: Sequence[Pixels], n_layers: int) -> list[Pixels]:
-    """Return samples with weights: of each layer, the area that a sample stands for, over the mean of those around.
+    """Return samples with weights: the area that a sample stands for, over the mean of those around at like depths.
 
     Parameters
     ----------
     pixel_sets : sequence of Pixels
         One set for each sample of a pixel, with shifts.
     n_layers : int
-        Depth layers: samples on different surfaces do not stand for one another.
+        Depth layers, among whose samples each has its area.
     """
-    # Find the layer of each sample that met something.
+    # Find the layer of each sample that met something, and, layer by layer, the area that each stands for.
     met = [np.where(each.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1)) for each in pixel_sets]
-    layering = Layering.equal(
-        [(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)], n_layers, 0.0
-    )
-    layer = [
-        np.where(there < 0, there, layering.members(each.labels, there).layer)
-        for each, there in zip(pixel_sets, met, strict=True)
-    ]
-    # Weigh them, layer by layer.
-    weights = [np.ones(there.shape, np.float32) for there in met]
+    labelled = [(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)]
+    layering = Layering.equal(labelled, n_layers, 0.0)
+    layer = [np.where(there < 0, there, layering.members(labels, there).layer) for labels, there in labelled]
     shifts = [np.ascontiguousarray(each.labels.shift) for each in pixel_sets]
+    areas = [np.zeros(there.shape, np.float32) for there in met]
     for number in range(layering.n_layers):
-        _weigh_layer(layer, number, shifts, weights)
+        _find_areas(layer, number, shifts, areas)
+    # Weigh each by its area over the mean of those around, of its own surface.
+    steps = Layering.equal(labelled, N_STEPS, 1.0)
+    members = [steps.members(*each) for each in labelled]
+    cells = [1 + math.ceil((size + 2 * MARGIN_PX) / CELL_PX) for size in met[0].shape]
+    sums = np.zeros((*cells, steps.n_layers + 1, 2), np.float32)
+    placed = [
+        (member.layer, member.farther, shift, area, CELL_PX, MARGIN_PX, sums)
+        for member, shift, area in zip(members, shifts, areas, strict=True)
+    ]
+    for each in placed:
+        _evening_kernels.add_areas(*each)
+    weights = [np.empty(there.shape, np.float32) for there in met]
+    for each, weight in zip(placed, weights, strict=True):
+        for_bands(_evening_kernels.weigh_samples, len(weight), *each, weight)
     return [each._replace(weight=weight) for each, weight in zip(pixel_sets, weights, strict=True)]
 
 
-def _weigh_layer(layer: Sequence[Image], number: int, shifts: Sequence[Image], weights: Sequence[Image]) -> None:
-    """Fill the weights of the samples of a layer."""
+def _find_areas(layer: Sequence[Image], number: int, shifts: Sequence[Image], areas: Sequence[Image]) -> None:
+    """Fill the areas of the samples of a layer."""
     bins = max(1, round(len(layer) ** 0.5))  # about one sample in each
     given = bins, MARGIN_PX
     shape = tuple(size + 2 * MARGIN_PX for size in layer[0].shape)
@@ -61,12 +77,10 @@ def _weigh_layer(layer: Sequence[Image], number: int, shifts: Sequence[Image], w
     for there, shift in zip(layer, shifts, strict=True):
         _evening_kernels.count_samples(there, number, shift, *given, count)
     # A share against what is usual around does not shift weight to where fewer and fewer are seen, or to a rim.
-    per_pixel = _in_pixels(count, bins)
-    usual, area = box_blurred(per_pixel, USUAL_PX, times=2), np.empty_like(count)
+    usual, area = box_blurred(_in_pixels(count, bins), USUAL_PX, times=2), np.empty_like(count)
     for_bands(_evening_kernels.share_area, len(count), count, usual, bins, area)
-    sums = np.stack([box_blurred(each, SURROUNDINGS_PX) for each in (per_pixel, _in_pixels(count * area, bins))])
-    for there, shift, weight in zip(layer, shifts, weights, strict=True):
-        for_bands(_evening_kernels.weigh_samples, len(there), there, number, shift, *given, area, sums, weight)
+    for there, shift, found in zip(layer, shifts, areas, strict=True):
+        for_bands(_evening_kernels.find_areas, len(there), there, number, shift, *given, area, found)
 
 
 def _in_pixels(values: Image, bins: int) -> Image:

@@ -9,7 +9,14 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.precompute.models._volume_kernels import free_path, scattering_cosine, seed_state, uniform
 from spreadlets.precompute.models.grids import model_settings
 from spreadlets.precompute.models.registry import trace_psf
-from spreadlets.precompute.models.volume import N_BLOCKS, RINGS_PER_PX, Medium, draw_rings, trace_paths
+from spreadlets.precompute.models.volume import (
+    N_BLOCKS,
+    RINGS_PER_PX,
+    Medium,
+    blurred_share,
+    draw_rings,
+    trace_paths,
+)
 from spreadlets.precompute.sparsify.preparation import split_spike
 from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.model import get_model
@@ -174,3 +181,15 @@ def test_camera_sets_the_scale():
 def test_impossible_media_are_refused(options, message):
     with pytest.raises(InvalidParameterError, match=message):
         model_settings("volume", options)
+
+
+def test_a_layer_hides_what_lies_right_behind_it_as_its_own_light():
+    model = volume(psf_radius=128.0)
+    assert blurred_share(model, 1.0, 1.001) == blurred_share(model, 0.0, 2.0) == 1.0
+    assert blurred_share(model, 3.0, math.inf) == blurred_share(model, 3.0, 4.0), "the database ends at 4 m"
+
+
+@pytest.mark.parametrize(("near", "far", "share"), [(0.9, 1.125, 0.879), (0.9, 3.6, 0.702), (1.8, 3.6, 0.809)])
+def test_what_is_not_scattered_before_a_layer_is_hidden_right_there(near, far, share):
+    """Shares of a Monte Carlo of its own that follows paths through both planes."""
+    assert blurred_share(volume(psf_radius=128.0), near, far) == pytest.approx(share, abs=0.015)

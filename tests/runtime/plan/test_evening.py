@@ -44,7 +44,7 @@ def test_samples_that_lie_evenly_keep_their_weight():
     (pixels,) = scattered(np.random.default_rng(0))
     still = pixels._replace(labels=pixels.labels._replace(shift=np.zeros((SIZE, SIZE, 2), np.float32)))
     (found,) = evened([still], 1)
-    assert found.weight[12:-12, 12:-12] == pytest.approx(1.0, abs=1e-5)
+    assert found.weight[20:-20, 20:-20] == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_surface_keeps_its_share_of_what_was_seen():
@@ -59,3 +59,19 @@ def test_what_met_nothing_keeps_its_weight_and_counts_for_none():
     pixels.radiance[:, ::2] = 0.0
     (found,) = evened([pixels], 1)
     assert (found.weight[:, ::2] == 1.0).all() and found.weight[:, 1::2].std() > 0.1
+
+
+def test_a_lamp_before_a_wall_that_is_seen_past_it_keeps_its_light():
+    rng = np.random.default_rng(0)
+    pixels = scattered(rng, 4)
+    row, col = np.indices((SIZE, SIZE))
+    lamp, sets = np.hypot(row - 48, col - 48) < 3, []
+    for each in pixels:
+        # Samples of the lamp lie on it, and those of the wall everywhere.
+        shift = np.where(lamp[..., None], rng.uniform(-0.5, 0.5, (SIZE, SIZE, 2)), each.labels.shift)
+        depth = np.where(lamp, 20.0, 32.0).astype(np.float32)
+        depth[:4] = 1.0  # all else is in the farthest of the layers
+        view = each.labels.view._replace(depth=depth)
+        sets.append(each._replace(labels=each.labels._replace(shift=shift.astype(np.float32), view=view)))
+    weights = np.stack([each.weight for each in evened(sets, 4)])
+    assert weights[:, lamp].mean() == pytest.approx(1.0, abs=0.03)
