@@ -502,6 +502,7 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
                     continue
                 first = across * TILE
                 _range_columns(place, row, first - REACH, ranges)
+                # List the row's pixels of the tile by the ranges around them.
                 for col in range(first, min(first + TILE, place.shape[1])):
                     wide = _spread(ranges[2], ranges[3], col - first, 2 * REACH + 1)
                     if place[row, col] == np.inf or wide < gap:
