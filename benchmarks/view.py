@@ -24,7 +24,8 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 import spreadlets as sp
-from spreadlets.view.session import DRAFT, Scene, Settings, Studio
+from spreadlets.view.drafts import DRAFT
+from spreadlets.view.session import Scene, Settings, Studio
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("coins", "whirl")

@@ -67,6 +67,8 @@ def synthesize(
     exact_psf: ExactPsf | None = None,
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
+    *,
+    hidden: bool = True,
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -89,6 +91,8 @@ def synthesize(
         What divides mixed pixels between their surfaces.
     neighbours : sequence of Frame
         The frames right before or after, of one layer each: what they show of what is hidden in a frame of one layer.
+    hidden : bool
+        Whether what is hidden in a frame of one layer is looked for; if not, it is left to compositing.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def synthesize(
     layers is asked for: then the pixels of all its layers are distributed anew.
     """
     given = camera, database, options, clock, dense_psf, exact_psf, split, neighbours
-    images, report = synthesize_all([frame], *given)
+    images, report = synthesize_all([frame], *given, hidden=hidden)
     return images[0], report
 
 
@@ -117,6 +121,8 @@ def synthesize_all(
     exact_psf: ExactPsf | None = None,
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
+    *,
+    hidden: bool = True,
 ) -> tuple[list[Image], Report]:
     """Blur frames that differ in their colours only, all by the plan of the first.
 
@@ -128,6 +134,8 @@ def synthesize_all(
         As for `synthesize`.
     neighbours : sequence of Frame
         As there, if there is but one frame.
+    hidden : bool
+        As there.
 
     Returns
     -------
@@ -159,7 +167,8 @@ def synthesize_all(
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
         given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
-            images = _drawn_by_depth([each[0] for each in shown], *given, neighbours=around, closed=closed)
+            first = [each[0] for each in shown]
+            images = _drawn_by_depth(first, *given, neighbours=around, hidden=hidden, closed=closed)
         else:
             images = _drawn_in_layers(shown, *given, closed=closed)
     images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
@@ -177,6 +186,7 @@ def _drawn_by_depth(
     split: Split,
     *,
     neighbours: Sequence[Layer],
+    hidden: bool,
     closed: bool,
 ) -> list[Image]:
     """Draw frames of one layer, divided by depth; all by the plan of the first, which is opaque if ``closed``."""
@@ -190,6 +200,7 @@ def _drawn_by_depth(
             softness=FRAME_SOFTNESS if options.softness is None else options.softness,
             split=split,
             neighbours=neighbours,
+            hidden=hidden,
         )
         first, *others = divided.pixel_sets
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)

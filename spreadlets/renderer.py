@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from threading import Lock
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, Unpack, overload
 
 import numpy as np
 
@@ -314,10 +314,10 @@ class Renderer:
             database = self._open(options.motion and shows_motion(frames[0], camera))
         # Render; PSFs that the database lacks are built, and then once more.
         try:
-            psfs = full_psfs(database, options)
             neighbours = [smaller(each, options.proxy) for each in self._neighbours]
-            given = (*psfs, self._split, neighbours)
-            images, figures = render.synthesize_all(frames, camera, database, options, clock, *given)
+            images, figures = render.synthesize_all(
+                frames, camera, database, options, clock, neighbours=neighbours, **self._drawing(database, options)
+            )
         except LeftOutError as error:
             if self._bokeh is None:
                 raise
@@ -326,6 +326,11 @@ class Renderer:
         if mask is not None:
             images = [put_before(image, each, mask) for image, each in zip(images, whole, strict=True)]
         return images, figures
+
+    def _drawing(self, database: Database, options: Options) -> dict[str, Any]:
+        """Return what draws PSFs in full, and what divides mixed pixels, as `synthesize_all` takes it."""
+        dense_psf, exact_psf = full_psfs(database, options)
+        return {"dense_psf": dense_psf, "exact_psf": exact_psf, "split": self._split}
 
     @cached_property
     def _depth_range(self) -> tuple[float, float]:
