@@ -15,10 +15,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from spreadlets.arrays import IntArray
+from spreadlets.kept import Kept
 from spreadlets.parallel import for_bands
 from spreadlets.psf.model import PsfModel
 from spreadlets.runtime.plan import _streak_kernels
-from spreadlets.runtime.plan.kept import Kept
 from spreadlets.runtime.plan.variant import Points
 
 LONGEST_PX = 128.0

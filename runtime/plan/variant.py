@@ -9,10 +9,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.kept import Kept
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import direct_points
 from spreadlets.psf.spreadlet import Spreadlet
-from spreadlets.runtime.plan.kept import Kept
 
 Points = tuple[npt.NDArray[np.int32], npt.NDArray[np.float32], bool]
 

@@ -20,8 +20,9 @@ FIRST_SIDE = 768
 """That of the first proxy, at most."""
 SHARES = (1.0, 0.75, 0.625, 0.5, 0.375, 0.25, 0.1875, 0.125)
 """Sizes of proxies."""
-TOO_SLOW_S, FAST_S = 0.075, 0.03
-"""Times of a draft, s, from which a smaller one is taken next, and below which a larger one."""
+TOO_SLOW_S, FAST_S = 0.075, 0.04
+"""Times of a draft, s, from which a smaller one is taken next, and below which a larger one: that takes up to 1.8 times
+as long, and is not too slow then."""
 DRAFT_LAYERS = 2
 """Depth layers of a draft, while that is fast enough."""
 DRAFT: Mapping[str, Any] = {"tolerance": 0.1, "cycles": 0}

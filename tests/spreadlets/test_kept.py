@@ -1,6 +1,6 @@
 """What is kept for the next camera."""
 
-from spreadlets.runtime.plan.kept import Kept
+from spreadlets.kept import Kept
 
 
 def doubled(keys):

@@ -22,7 +22,7 @@ class Kept(Generic[Key, Value]):
 
     Examples
     --------
-    >>> from spreadlets.runtime.plan.kept import Kept
+    >>> from spreadlets.kept import Kept
     >>> kept, made = Kept(most=100, size=len), []
     >>> for _ in range(2):
     ...     kept.of(["a"], lambda keys: made.append(keys) or [10 * key for key in keys])
