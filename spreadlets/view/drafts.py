@@ -29,7 +29,7 @@ DRAFT: Mapping[str, Any] = {"tolerance": 0.1, "cycles": 0}
 """Options of a draft: where all moves, steps of the display go unseen. The solver's last step is left out."""
 LEFT_OUT = (
     "curved paths",
-    "several surfaces in a pixel",
+    "several surfaces in a pixel but for lights",
     "what lies hidden",
     "last step of the solver",
 )
@@ -39,7 +39,7 @@ ALL_BUT_ONE_LAYER = "depth layers"
 
 
 class DraftRenderer(Renderer):
-    """Renders drafts: paths are straight, and a mixed pixel belongs to one of its surfaces.
+    """Renders drafts: paths are straight, and a mixed pixel belongs to one of its surfaces, unless it shows a light.
 
     What nearer layers hide is filled from around when layers are put behind one another, and not looked for.
 
@@ -54,14 +54,15 @@ class DraftRenderer(Renderer):
     def __init__(
         self, frame: Frame, database: Database | Model | str | None = None, *, progress: Progress | None = None
     ) -> None:
+        from spreadlets.runtime.label.surfaces import KeptSurfaces, split_lights
+
         straight = Frame.of([layer.straight() for layer in frame.layers])
         super().__init__(straight, database, progress=progress)
+        self._split = KeptSurfaces(split_lights)
 
     def _drawing(self, database: Database, options: Options) -> dict[str, Any]:
-        """Return what divides no pixels, and looks for nothing hidden."""
-        from spreadlets.runtime.label.surfaces import undivided
-
-        return {**super()._drawing(database, options), "split": undivided, "hidden": False}
+        """Return what divides the pixels of lights, and looks for nothing hidden."""
+        return {**super()._drawing(database, options), "hidden": False}
 
 
 def ladder(longer_side: int) -> list[tuple[float, int]]:

@@ -5,7 +5,6 @@ import pytest
 from view_scene import CAMERA
 
 import spreadlets as sp
-from spreadlets.runtime.label import surfaces
 from spreadlets.runtime.plan import divide
 from spreadlets.scene.display import display_encode
 from spreadlets.view.drafts import DRAFT, DRAFT_LAYERS, DraftRenderer, ladder
@@ -29,16 +28,14 @@ def test_a_draft_is_like_the_whole_picture(frame, n_layers):
     assert draft[..., :3].mean() == pytest.approx(whole[..., :3].mean(), rel=LIMITS[n_layers][2])
 
 
-def test_a_draft_divides_no_pixels_and_looks_for_nothing_hidden(frame, monkeypatch):
-    asked = []
-    for module, name in ((divide, "find_behind"), (surfaces, "split_surfaces")):
-        found = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *given, name=name, found=found: asked.append(name) or found(*given))
+def test_a_draft_looks_for_nothing_hidden(frame, monkeypatch):
+    asked, find_behind = [], divide.find_behind
+    monkeypatch.setattr(divide, "find_behind", lambda *given: asked.append(given) or find_behind(*given))
     with DraftRenderer(frame, "combined") as drafts, sp.Renderer(frame, "combined") as renderer:
         drafts.render(CAMERA, layers=2, **DRAFT)
         assert not asked
         renderer.render(CAMERA, layers=2)
-    assert asked == ["split_surfaces", "find_behind"]
+        assert len(asked) == 1
 
 
 def test_drafts_become_smaller_before_they_lose_a_layer():
