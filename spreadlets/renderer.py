@@ -90,7 +90,7 @@ class Renderer:
         hidden_from: Frame | Sequence[Frame] = (),
         progress: Progress | None = None,
     ) -> None:
-        from spreadlets.runtime.label.surfaces import KeptSurfaces
+        from spreadlets.runtime.label.surfaces import KeptSurfaces, split_surfaces
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
         self._neighbours = [hidden_from] if isinstance(hidden_from, Frame) else list(hidden_from)
@@ -102,7 +102,7 @@ class Renderer:
         self._current: Database | None = None
         self._proxies: dict[float, Frame] = {1.0: self.frame}
         self._depths: dict[float, FloatArray] = {}
-        self._split = KeptSurfaces()
+        self._split = KeptSurfaces(split_surfaces)
         self._lock = Lock()
         self._shown: Image | None = None
 

@@ -229,7 +229,7 @@ class KeptSurfaces:
         Finds the surfaces.
     """
 
-    def __init__(self, split: Split = split_surfaces) -> None:
+    def __init__(self, split: Split) -> None:
         self._find = split
         self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
         self._lock = Lock()
