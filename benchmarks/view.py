@@ -5,11 +5,13 @@
 For each NAME_pinhole.exr with NAME.json in the folder (coins and whirl), enlarged to the size by repeating pixels.
 Columns: seconds from the command to the first whole picture; for a drag of the f-number and one of the focus: pictures
 a second, the longer side of the proxy, seconds from the release to the whole picture; and the processor time of a proxy
-and of the whole picture, s, summed over threads, which other work on the machine disturbs less. Needs playwright and a
-Chromium. Writes view.txt to benchmarks/results, with the load of the machine.
+and of the whole picture, s, summed over threads, which other work on the machine disturbs less. Needs a Chromium, which
+is driven by its own protocol: a driver that listens to the network is told of each picture, too, and that takes as long
+as it takes to draw one. Writes view.txt to benchmarks/results, with the load of the machine.
 """
 
 import argparse
+import itertools
 import json
 import os
 import shutil
@@ -17,18 +19,25 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
-from playwright.sync_api import sync_playwright
+from websockets.sync.client import ClientConnection, connect
 
 import spreadlets as sp
-from spreadlets.view.session import DRAFT, Scene, Settings, Studio
+from spreadlets.view.drafts import DRAFT
+from spreadlets.view.session import Scene, Settings, Studio
 
 RESULTS = Path(__file__).parent / "results"
 SCENES = ("coins", "whirl")
-READY = "document.getElementById('status').textContent.startsWith('ready')"
+ANNOUNCED = "DevTools listening on "
+LOOK_S = 0.02
+"""How often it is looked whether a page is ready."""
+READY = "document.getElementById('status')?.textContent.startsWith('ready')"
 DRAG = """async ([name, seconds]) => {
   const input = document.getElementById(name), value = Number(input.value), begin = performance.now();
   pictures.length = 0;
@@ -46,6 +55,56 @@ DRAG = """async ([name, seconds]) => {
 }"""
 
 
+class Browser:
+    """A Chromium without a window."""
+
+    def __init__(self, folder: str) -> None:
+        program = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+        options = ["--headless", "--no-sandbox", "--remote-debugging-port=0", "--window-size=1280,800"]
+        # What it writes goes to a file: nobody would read a pipe.
+        told = Path(folder) / "chromium.txt"
+        with told.open("w") as file:
+            words = [program, *options, f"--user-data-dir={folder}", "about:blank"]
+            self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=file)
+        while ANNOUNCED not in told.read_text() or not told.read_text().endswith("\n"):
+            time.sleep(LOOK_S)
+        address = told.read_text().split(ANNOUNCED)[1].split()[0]
+        self._connection: ClientConnection = connect(address, max_size=None).__enter__()
+        self._numbers = itertools.count(1)
+        self._page: dict[str, str] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ask("Browser.close")
+        self._process.wait()
+
+    def open(self, url: str) -> None:
+        """Show a page."""
+        target = self._ask("Target.createTarget", url=url)["targetId"]
+        attached = self._ask("Target.attachToTarget", targetId=target, flatten=True)
+        self._page = {"sessionId": attached["sessionId"]}
+
+    def evaluate(self, script: str) -> Any:
+        """Return what a script of the page comes to."""
+        given = {"expression": script, "awaitPromise": True, "returnByValue": True}
+        return self._ask("Runtime.evaluate", **given)["result"].get("value")
+
+    def close(self) -> None:
+        """Close the page."""
+        self._ask("Page.close")
+        self._page = {}
+
+    def _ask(self, method: str, **given: Any) -> dict[str, Any]:
+        number = next(self._numbers)
+        self._connection.send(json.dumps({"id": number, "method": method, "params": given, **self._page}))
+        while True:
+            answer = json.loads(self._connection.recv())
+            if answer.get("id") == number:
+                return answer["result"]
+
+
 def enlarged(folder: Path, name: str, size: int, target: Path) -> Path:
     """Write a frame with its pixels repeated."""
     (layer,) = sp.read_frame(folder / f"{name}_pinhole.exr").layers
@@ -60,26 +119,36 @@ def enlarged(folder: Path, name: str, size: int, target: Path) -> Path:
     return target / f"{name}.exr"
 
 
-def in_browser(path: Path, camera: Path, browser, seconds: float) -> list[float]:
-    """Open the page and drag; return the figures of a row."""
+@contextmanager
+def opened(path: Path, camera: Path, browser: Browser) -> Iterator[float]:
+    """Start the command and open its page; yield the seconds until the first whole picture is there."""
     begin = time.perf_counter()
     words = ["view", str(path), "--camera", str(camera), "--json"]
+    # Bytecode is kept, as where the package is installed.
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     process = subprocess.Popen(
         [sys.executable, "-m", "spreadlets.cli.main", *words],
         stdout=subprocess.PIPE,
         text=True,
         stderr=subprocess.DEVNULL,
+        env={**kept, "PYTHONPYCACHEPREFIX": str(path.parent / "bytecode")},
     )
-    page = browser.new_page(viewport={"width": 1280, "height": 800})
-    page.goto(json.loads(process.stdout.readline())["url"])
-    page.wait_for_function(READY, timeout=120_000)
-    row = [time.perf_counter() - begin]
-    for name in ("f-number", "focus"):
-        page.evaluate(DRAG, [name, seconds])  # compiles, and finds the proxy that keeps up
-        row += page.evaluate(DRAG, [name, seconds])
-    page.close()
+    browser.open(json.loads(process.stdout.readline())["url"])
+    while not browser.evaluate(READY):
+        time.sleep(LOOK_S)
+    yield time.perf_counter() - begin
+    browser.close()
     process.terminate()
     process.wait()
+
+
+def dragged(browser: Browser, seconds: float) -> list[float]:
+    """Drag two sliders; return the figures of both."""
+    row = []
+    for name in ("f-number", "focus"):
+        drag = f"({DRAG})({json.dumps([name, seconds])})"
+        browser.evaluate(drag)  # compiles, and finds the proxy that keeps up
+        row += browser.evaluate(drag)
     return row
 
 
@@ -105,23 +174,23 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--seconds", type=float, default=4.0)
     given = parser.parse_args()
-    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
     lines = [f"{given.size} px, {os.cpu_count()} processors; load before {os.getloadavg()[0]:.1f}"]
     lines.append(
         "scene   first s | f-number: fps  proxy px  release s | focus: fps  proxy px  release s | proxy s  whole s"
     )
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, Browser(folder) as browser:
         for name in SCENES:
             path, camera = enlarged(given.frames, name, given.size, Path(folder)), given.frames / f"{name}.json"
-            first, *drags = in_browser(path, camera, browser, given.seconds)
+            with opened(path, camera, browser):
+                pass  # keeps the bytecode
+            with opened(path, camera, browser) as first:
+                drags = dragged(browser, given.seconds)
             texts = [
                 f"{fps:16.1f} {share * given.size:9.0f} {release:9.2f}  |"
                 for fps, share, release in (drags[:3], drags[3:])
             ]
             proxy, whole = processor_times(path, camera)
             lines.append(f"{name:7} {first:7.2f} |{''.join(texts)} {proxy:7.3f} {whole:8.3f}")
-        browser.close()
     lines.append(
         f"load after {os.getloadavg()[0]:.1f}: where it exceeds the processors, times are longer than they need be"
     )

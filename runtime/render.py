@@ -69,6 +69,8 @@ def synthesize(
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
     blurred_share: BlurredShare | None = None,
+    *,
+    hidden: bool = True,
 ) -> tuple[Image, Report]:
     """Blur a frame as the camera's lens and shutter would have.
 
@@ -93,6 +95,8 @@ def synthesize(
         The frames right before or after, of one layer each: what they show of what is hidden in a frame of one layer.
     blurred_share : callable, optional
         How a medium lets layers hide each other, see `runtime.composite.haze`.
+    hidden : bool
+        Whether what is hidden in a frame of one layer is looked for; if not, it is left to compositing.
 
     Returns
     -------
@@ -107,7 +111,7 @@ def synthesize(
     layers is asked for: then the pixels of all its layers are distributed anew.
     """
     given = camera, database, options, clock, dense_psf, exact_psf, split, neighbours, blurred_share
-    images, report = synthesize_all([frame], *given)
+    images, report = synthesize_all([frame], *given, hidden=hidden)
     return images[0], report
 
 
@@ -122,6 +126,8 @@ def synthesize_all(
     split: Split = split_surfaces,
     neighbours: Sequence[Frame] = (),
     blurred_share: BlurredShare | None = None,
+    *,
+    hidden: bool = True,
 ) -> tuple[list[Image], Report]:
     """Blur frames that differ in their colours only, all by the plan of the first.
 
@@ -133,6 +139,8 @@ def synthesize_all(
         As for `synthesize`.
     neighbours : sequence of Frame
         As there, if there is but one frame.
+    hidden : bool
+        As there.
 
     Returns
     -------
@@ -164,7 +172,8 @@ def synthesize_all(
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
         given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
-            images = _drawn_by_depth([each[0] for each in shown], *given, neighbours=around, closed=closed)
+            first = [each[0] for each in shown]
+            images = _drawn_by_depth(first, *given, neighbours=around, hidden=hidden, closed=closed)
         else:
             images = _drawn_in_layers(shown, *given, closed=closed, blurred_share=blurred_share)
     images = [_finished(image, frame.raster, raster, camera, database, options) for image in images]
@@ -182,6 +191,7 @@ def _drawn_by_depth(
     split: Split,
     *,
     neighbours: Sequence[Layer],
+    hidden: bool,
     closed: bool,
 ) -> list[Image]:
     """Draw frames of one layer, divided by depth; all by the plan of the first, which is opaque if ``closed``."""
@@ -195,6 +205,7 @@ def _drawn_by_depth(
             softness=FRAME_SOFTNESS if options.softness is None else options.softness,
             split=split,
             neighbours=neighbours,
+            hidden=hidden,
         )
         first, *others = divided.pixel_sets
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)

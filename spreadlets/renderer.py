@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from threading import Lock
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, Unpack, overload
 
 import numpy as np
 
@@ -90,7 +90,7 @@ class Renderer:
         hidden_from: Frame | Sequence[Frame] = (),
         progress: Progress | None = None,
     ) -> None:
-        from spreadlets.runtime.label.surfaces import KeptSurfaces
+        from spreadlets.runtime.label.surfaces import KeptSurfaces, split_surfaces
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
         self._neighbours = [hidden_from] if isinstance(hidden_from, Frame) else list(hidden_from)
@@ -102,7 +102,7 @@ class Renderer:
         self._current: Database | None = None
         self._proxies: dict[float, Frame] = {1.0: self.frame}
         self._depths: dict[float, FloatArray] = {}
-        self._split = KeptSurfaces()
+        self._split = KeptSurfaces(split_surfaces)
         self._lock = Lock()
         self._shown: Image | None = None
 
@@ -314,10 +314,10 @@ class Renderer:
             database = self._open(options.motion and shows_motion(frames[0], camera))
         # Render; PSFs that the database lacks are built, and then once more.
         try:
-            psfs = full_psfs(database, options)
             neighbours = [smaller(each, options.proxy) for each in self._neighbours]
-            given = (*psfs, self._split, neighbours, blurred_share(database))
-            images, figures = render.synthesize_all(frames, camera, database, options, clock, *given)
+            images, figures = render.synthesize_all(
+                frames, camera, database, options, clock, neighbours=neighbours, **self._drawing(database, options)
+            )
         except LeftOutError as error:
             if self._bokeh is None:
                 raise
@@ -326,6 +326,12 @@ class Renderer:
         if mask is not None:
             images = [put_before(image, each, mask) for image, each in zip(images, whole, strict=True)]
         return images, figures
+
+    def _drawing(self, database: Database, options: Options) -> dict[str, Any]:
+        """Return what draws PSFs in full, divides mixed pixels and tells of a medium, as `synthesize_all` takes it."""
+        dense_psf, exact_psf = full_psfs(database, options)
+        own = {"dense_psf": dense_psf, "exact_psf": exact_psf, "split": self._split}
+        return {**own, "blurred_share": blurred_share(database)}
 
     @cached_property
     def _depth_range(self) -> tuple[float, float]:

@@ -22,6 +22,7 @@ ORDER = (
         "parallel",
         "packages",
         "remembered",
+        "kept",
         "runtime.controls",
         "runtime._vector_kernels",
     },

@@ -251,8 +251,11 @@ def _cell(task: CellTask, parts: Parts, kept: Kept) -> list[CellRecord]:
     """Return all records of a cell: built, kept, and those that are left out."""
     built = dict(zip(task.poses, parts.load(task), strict=True)) if task.poses else {}
     built |= kept.records(task.cell)
-    count = len(task.grid.angles(task.cell))
-    return [built.get(number) or absent_record(task.grid, task.cell, number) for number in range(count)]
+    n_channels = task.grid.model.n_channels
+    return [
+        built.get(number) or absent_record(angle, n_channels)
+        for number, angle in enumerate(task.grid.angles(task.cell).tolist())
+    ]
 
 
 def _parameters(grid: PsfGrid, density: float, sparsifier: str, rays: int | None) -> dict[str, Any]:

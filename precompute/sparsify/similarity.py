@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+from scipy import fft
 from scipy.ndimage import correlate1d, distance_transform_edt, uniform_filter
-from scipy.signal import fftconvolve
 
 from spreadlets.arrays import DoubleArray, IntArray
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
@@ -89,6 +89,17 @@ def detail_filter() -> DoubleArray:
     return np.asarray(kernel * (spectrum[0, 0] / kernel.sum()))
 
 
+def with_detail(image: DoubleArray) -> DoubleArray:
+    """Return an image (H, W), zero outside, convolved with `detail_filter`.
+
+    By its spectrum, as SciPy's `fftconvolve` does, whose module takes a second to import.
+    """
+    kernel = detail_filter()
+    room = [fft.next_fast_len(sum(sizes) - 1, real=True) for sizes in zip(image.shape, kernel.shape, strict=True)]
+    whole = fft.irfftn(fft.rfftn(image, room) * fft.rfftn(kernel, room), room)
+    return np.asarray(whole[DETAIL_RADIUS:, DETAIL_RADIUS:][: image.shape[0], : image.shape[1]])
+
+
 @lru_cache(maxsize=4)
 def _tables(size: int) -> tuple[DoubleArray, DoubleArray]:
     """Filter the table of the lattice Green's function of a size by the window and by the detail filter."""
@@ -98,7 +109,7 @@ def _tables(size: int) -> tuple[DoubleArray, DoubleArray]:
     mirrored = np.concatenate([half[:, margin:0:-1], half], axis=1)
     taps, inner = window(), slice(margin, -margin)
     mean = correlate1d(correlate1d(mirrored, taps, axis=0), taps, axis=1)
-    detail = fftconvolve(mirrored, detail_filter(), mode="same")
+    detail = with_detail(mirrored)
     return np.ascontiguousarray(mean[inner, inner]), np.ascontiguousarray(detail[inner, inner])
 
 
@@ -225,7 +236,7 @@ def _targets(psf: DoubleArray, pixel_rc: IntArray, weight: DoubleArray) -> Doubl
     """Return the weighted rows' values (S, 3, C) for the PSF itself."""
     row, column = pixel_rc.T
     padded = np.pad(psf, ((0, 1), (0, 1), (0, 0)))
-    detail = np.stack([fftconvolve(plane, detail_filter(), mode="same") for plane in np.moveaxis(padded, 2, 0)], -1)
+    detail = np.stack([with_detail(plane) for plane in np.moveaxis(padded, 2, 0)], -1)
     here = detail[row, column]
     values = [_blur(psf)[row, column], detail[row, column + 1] - here, detail[row + 1, column] - here]
     return np.asarray(weight[:, :, None] * np.stack(values, axis=1))

@@ -6,6 +6,7 @@ import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
+from spreadlets.remembered import Remembered
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
@@ -98,6 +99,7 @@ def _half_size(image: Image, odd: tuple[int, int]) -> Image:
     return buffer(((height + 1) // 2, (width + 1) // 2, 5))
 
 
+@Remembered
 def is_opaque(radiance: Image) -> bool:
     """Return whether every pixel (..., 4) is opaque."""
     return count_alphas(radiance).whole == radiance[..., 3].size

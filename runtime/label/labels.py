@@ -96,13 +96,13 @@ class View(NamedTuple):
     def _from_centre(self, block: int) -> FloatArray:
         """Return the places (x, y) of the middles of the blocks of pixels, from the image's centre, px."""
         y, x = (
-            np.arange(size) // block * block + 0.5 * (block - 1) - 0.5 * (size - 1) - off
+            (np.arange(size) // block * block + 0.5 * (block - 1) - 0.5 * (size - 1) - off).astype(np.float32)
             for size, off in zip(self.frame_shape, self.centre[::-1], strict=True)
         )
-        if self.places is not None:
-            at = self.places.at
-            return np.stack([x[at[..., 1]], y[at[..., 0]]], axis=-1).astype(np.float32)
-        return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
+        rows, columns = np.ogrid[: len(y), : len(x)] if self.places is None else np.moveaxis(self.places.at, 2, 0)
+        place = np.empty((*np.broadcast(rows, columns).shape, 2), np.float32)
+        place[..., 0], place[..., 1] = x[columns], y[rows]
+        return place
 
 
 def camera_view(depth: FloatArray, raster: Raster, camera: ThinLens) -> View:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -42,6 +43,8 @@ EMPTY_PIXELS = 1 << 16
 NOISE_SHARE = 0.1
 """Share of the pixels without any of their surface beside them, from which depth is noise: a frame full of leaves has
 .01, one full of hair .02 to .08, depths drawn at random between radii of 8 and 16 px .13."""
+WHITE = 1.0
+"""Radiance above which a display shows no more."""
 MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
 
@@ -211,26 +214,71 @@ def _scale(layer: Layer, camera: ThinLens) -> float:
     return float(np.exp2(np.ceil(SCALES_PER_OCTAVE * np.log2(scale)) / SCALES_PER_OCTAVE))
 
 
-class KeptSurfaces:
-    """Splits layers as `split_surfaces` does, and keeps what it found: focus and shutter do not change it.
+def split_lights(layer: Layer, camera: ThinLens) -> list[Surface]:
+    """Return the surfaces of a layer, divided only where one of them is brighter than white: else few pixels show it.
 
-    It may be used from several threads.
+    Parameters
+    ----------
+    layer, camera
+        As for `split_surfaces`.
+    """
+    first, *lists = split_surfaces(layer, camera)
+    if first.share is None:
+        return [first]
+    # Find the pixels with a bright surface, and what others show as a whole.
+    bright, whole = _is_bright(first), first.layer.radiance * first.share[..., None]
+    for each in lists:
+        assert each.share is not None and each.at is not None, "others than the first are lists"
+        drawn = each.share > 0.0
+        place = tuple(each.at[drawn].T)
+        whole[place] += each.layer.radiance[drawn] * each.share[drawn][:, None]
+        bright[place] |= _is_bright(each)[drawn]
+    bright &= first.share < 1.0
+    own = replace(first.layer, radiance=np.where(bright[..., None], first.layer.radiance, whole))
+    if not bright.any():
+        return [Surface(own)]
+    found = [Surface(own, np.where(bright, first.share, np.float32(1.0)))]
+    # Keep the others where they are.
+    for each in lists:
+        assert each.share is not None and each.at is not None
+        chosen = np.flatnonzero((each.share > 0.0) & bright[tuple(np.moveaxis(each.at, 2, 0))])
+        if len(chosen):
+            index = np.unravel_index(rows_of(chosen), each.share.shape)
+            share = each.share[index]
+            share.ravel()[len(chosen) :] = 0.0
+            take = operator.itemgetter(index)
+            found.append(Surface(each.layer.mapped(take, take, take(each.layer.radiance)), share, each.at[index]))
+    return found
+
+
+def _is_bright(surface: Surface) -> BoolArray:
+    return np.asarray(surface.layer.radiance[..., :3].max(axis=2) > WHITE)
+
+
+class KeptSurfaces:
+    """Splits layers, and keeps what it found: focus and shutter do not change it. It may be used from several threads.
+
+    Parameters
+    ----------
+    split : callable
+        Finds the surfaces.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, split: Split) -> None:
+        self._find = split
         self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
         self._lock = Lock()
 
     def __call__(self, layer: Layer, camera: ThinLens) -> Iterable[Surface]:
         """Return the surfaces of a layer, see `split_surfaces`; those of a very large one are not kept."""
         if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
-            return split_surfaces(layer, camera)
+            return self._find(layer, camera)
         key = id(layer), _scale(layer, camera)
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key][1]
-        found = list(split_surfaces(layer, camera))
+        found = list(self._find(layer, camera))
         with self._lock:
             # The layer is kept as long as its number stands for it.
             self._kept[key] = layer, found

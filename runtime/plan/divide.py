@@ -52,6 +52,7 @@ def divide_frames(
     softness: float = FRAME_SOFTNESS,
     split: Split = split_surfaces,
     neighbours: Sequence[Layer] = (),
+    hidden: bool = True,
 ) -> Divided:
     """Divide frames of one layer by depth, all as the first, and find what is hidden in them.
 
@@ -69,6 +70,8 @@ def divide_frames(
         Divides mixed pixels between their surfaces.
     neighbours : sequence of Layer
         The frames right before or after that of a single layer, see `runtime.label.reprojection.reproject`.
+    hidden : bool
+        Whether what is hidden is looked for.
     """
     # Divide what is seen into depth layers.
     shared = SharedSurfaces(split)
@@ -76,7 +79,7 @@ def divide_frames(
     seen = [surface_pixels(each, camera, effects) for each in (surfaces, *further)]
     drawn = [(each.labels, _drawn(each)) for each in seen[0]]
     layering = Layering.fitted(drawn[:1], most, softness, drawn[1:])
-    if layering.n_layers == 1:
+    if layering.n_layers == 1 or not hidden:
         return Divided(seen, 0, layering, np.zeros(layers[0].shape, np.uint64))
     # Find what nearer ones hide of each.
     elsewhere = None
@@ -88,8 +91,8 @@ def divide_frames(
         return Divided(seen, 0, layering, behind[0].known)
     for sets, each in zip(seen, behind, strict=True):
         assert each.surface is not None, "all frames hide the same"
-        hidden = labelled(each.surface, layers[0].shape, camera, effects)
-        sets.append(hidden_pixels(hidden, camera, effects, sets[0].radiance))
+        listed = labelled(each.surface, layers[0].shape, camera, effects)
+        sets.append(hidden_pixels(listed, camera, effects, sets[0].radiance))
     return Divided(seen, 1, layering, behind[0].known)
 
 

@@ -81,8 +81,10 @@ class Layering:
 
         Lists of pixels meet the first frame's.
         """
+        if most == 1:
+            return cls()
         low, high = _range(labelled)
-        if most == 1 or not high > low:
+        if not high > low:
             return cls()
         cuts = best_cuts(find_steps(labelled, low, high, N_STEPS, lists), most)
         borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])

@@ -34,7 +34,7 @@ from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
 from spreadlets.runtime.plan.merge import MERGING_SHARE, coarse_error, merge_blocks
 from spreadlets.runtime.plan.pool import place_pixels, pool
-from spreadlets.runtime.plan.streaks import Streaks, draw_streaks, longest_streak
+from spreadlets.runtime.plan.streaks import draw_streaks, longest_streak
 from spreadlets.runtime.plan.variant import SHARP, DensePsf, Points, Variant, own_points, variant_points
 from spreadlets.runtime.splat.passes import DIRECT, STRIDES, PointTable, SplatPass
 from spreadlets.scans import holds_anything
@@ -500,21 +500,21 @@ def _decoded(keys: npt.NDArray[np.int64], cell_start: npt.NDArray[np.int64]) -> 
 
 
 def _point_table(
-    streaks: Streaks, points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
+    streaks: list[Points], points: list[Points], spikes: list[npt.NDArray[np.float32]], n_channels: int
 ) -> tuple[PointTable, npt.NDArray[np.int32]]:
     """Concatenate the points of streaks, of variants, then the spikes; say which is each one's spike, -1 if none."""
-    n_streaks = len(streaks.counts)
+    n_streaks = len(streaks)
     spiked = np.flatnonzero(np.stack(spikes).any(axis=1)) if spikes else np.zeros(0, np.int64)
     spike_of = np.full(n_streaks + len(points) + len(spiked), -1, np.int32)
     spike_of[n_streaks + spiked] = n_streaks + len(points) + np.arange(len(spiked))
-    points = [*points, *((np.zeros((1, 2), np.int32), spikes[number][None], True) for number in spiked)]
-    counts = [len(offset_rc) for offset_rc, _, _ in points]
-    lines = streaks.value if n_streaks else np.zeros((0, n_channels), np.float32)
+    own = ((np.zeros((1, 2), np.int32), spikes[number][None], True) for number in spiked)
+    nothing = np.zeros((0, 2), np.int32), np.zeros((0, n_channels), np.float32), True
+    offset_rc, value, direct = zip(nothing, *streaks, *points, *own, strict=True)
     return PointTable(
-        np.concatenate([streaks.offset_rc, *(offset_rc for offset_rc, _, _ in points)]),
-        np.concatenate([lines, *(value for _, value, _ in points)]),
-        np.concatenate([[0], np.cumsum([*streaks.counts, *counts])]).astype(np.int64),
-        np.where([True] * n_streaks + [direct for _, _, direct in points], DIRECT, 0).astype(np.int64),
+        np.concatenate(offset_rc),
+        np.concatenate(value),
+        np.cumsum([len(each) for each in offset_rc], dtype=np.int64),
+        np.where(direct[1:], DIRECT, 0).astype(np.int64),
     ), spike_of
 
 

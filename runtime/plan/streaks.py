@@ -9,20 +9,24 @@ pixels, of which its own mean has more than a PSF has. So discs and capsules of 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from spreadlets.arrays import Image, IntArray
+from spreadlets.arrays import IntArray
+from spreadlets.kept import Kept
 from spreadlets.parallel import for_bands
 from spreadlets.psf.model import PsfModel
 from spreadlets.runtime.plan import _streak_kernels
+from spreadlets.runtime.plan.variant import Points
 
 LONGEST_PX = 128.0
 """Extent along an axis of the longest path that is a streak: the numbers of codes grow with its square."""
 BOX_SHUTTER = (1.0, 1.0)
 """How far a shutter without a curve is open, from opening to closing."""
+MOST_KEPT_POINTS, MOST_CURVES = 1 << 21, 4
+"""Points that are kept for the next camera, 25 MB, for each of so many shutters."""
 
 
 def longest_streak(model: PsfModel) -> float:
@@ -30,37 +34,34 @@ def longest_streak(model: PsfModel) -> float:
     return LONGEST_PX if model.has_motion else 0.0
 
 
-class Streaks(NamedTuple):
-    """The pixels that some streaks cover.
-
-    Attributes
-    ----------
-    offset_rc : ndarray of shape (n_points, 2), int32
-        Rows and columns from the pixel, those of a streak sorted by row.
-    value : ndarray of shape (n_points, 1), float32
-        Shares of the light, for each streak of sum 1.
-    counts : ndarray of shape (n,), int64
-        Numbers of points of each streak.
-    """
-
-    offset_rc: npt.NDArray[np.int32]
-    value: Image
-    counts: IntArray
-
-
-def draw_streaks(codes: IntArray, model: PsfModel) -> Streaks:
-    """Return the pixels that streaks cover.
+def draw_streaks(codes: IntArray, model: PsfModel) -> list[Points]:
+    """Return the pixels that each streak covers, direct points, with their shares of its light.
 
     Parameters
     ----------
     codes : ndarray of shape (n,), int64
-        See `runtime.plan._streak_kernels.streak_code`.
+        See `runtime.plan._streak_kernels.streak_code`; no two alike.
     model : PsfModel
         Of a thin lens with motion, if there are any.
     """
     curve = model.settings.get("shutter_curve")
-    given = codes, np.asarray(BOX_SHUTTER if curve is None else curve, np.float64)
+    openness = BOX_SHUTTER if curve is None else tuple(curve)
+    return _kept(openness).of(codes.tolist(), lambda missing: _drawn(np.array(missing, np.int64), openness))
+
+
+@functools.lru_cache(maxsize=MOST_CURVES)
+def _kept(openness: tuple[float, ...]) -> Kept[int, Points]:
+    return Kept(MOST_KEPT_POINTS, lambda points: len(points[1]))
+
+
+def _drawn(codes: IntArray, openness: tuple[float, ...]) -> Iterator[Points]:
+    """Yield the points of each streak."""
     counts = np.zeros(len(codes), np.int64)
-    drawn = for_bands(_streak_kernels.draw_own, len(codes), *given, counts)
+    drawn = for_bands(_streak_kernels.draw_own, len(codes), codes, np.asarray(openness, np.float64), counts)
     offset_rc, value = (np.concatenate(each) for each in zip(*drawn, strict=True))
-    return Streaks(offset_rc, value, counts)
+    ends = np.cumsum(counts).tolist()
+    # Copies of their own: all would live as long as any of them.
+    return (
+        (offset_rc[begin:end].copy(), value[begin:end].copy(), True)
+        for begin, end in zip([0, *ends], ends, strict=False)
+    )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator
-from threading import Lock
 from typing import NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.kept import Kept
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import direct_points
 from spreadlets.psf.spreadlet import Spreadlet
@@ -67,41 +66,23 @@ def variant_points(
     if dense_psf is not None:
         yield from (split_spike(_dense_variant(each, dense_psf)) for each in stored)
         return
-    yield from _KEPT.setdefault(database, _KeptPoints())(stored, database)
+    kept = _KEPT.setdefault(database, _kept_points())
+    yield from kept.of(stored, lambda missing: _stored_points(missing, database))
 
 
-class _KeptPoints:
-    """The points of a database's variants, kept for the next camera; it may be used from several threads."""
-
-    def __init__(self) -> None:
-        self._known: OrderedDict[Variant, tuple[Points, npt.NDArray[np.float32]]] = OrderedDict()
-        self._count = 0
-        self._lock = Lock()
-
-    def __call__(self, variants: list[Variant], database: Database) -> list[tuple[Points, npt.NDArray[np.float32]]]:
-        """Return the points of variants, and their spikes."""
-        with self._lock:
-            found = {each: self._known[each] for each in variants if each in self._known}
-        missing = [each for each in variants if each not in found]
-        spreadlets = database.spreadlets([(each.cell, each.pose) for each in missing])
-        for each, spreadlet in zip(missing, spreadlets, strict=True):
-            wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
-            found[each] = split_spike(_turned(wide, each))
-        self._keep(found)
-        return [found[each] for each in variants]
-
-    def _keep(self, found: dict[Variant, tuple[Points, npt.NDArray[np.float32]]]) -> None:
-        """Keep points; those that have not been asked for the longest go first."""
-        with self._lock:
-            for variant, points in found.items():
-                self._count += 0 if variant in self._known else len(points[0][1])
-                self._known[variant] = points
-                self._known.move_to_end(variant)
-            while self._count > MOST_KEPT_POINTS:
-                self._count -= len(self._known.popitem(last=False)[1][0][1])
+def _stored_points(variants: list[Variant], database: Database) -> Iterator[tuple[Points, npt.NDArray[np.float32]]]:
+    """Yield the points of stored variants, and their spikes."""
+    spreadlets = database.spreadlets([(each.cell, each.pose) for each in variants])
+    for each, spreadlet in zip(variants, spreadlets, strict=True):
+        wide = spreadlet if each.scale == 1.0 else scaled(spreadlet, each.scale)
+        yield split_spike(_turned(wide, each))
 
 
-_KEPT: WeakKeyDictionary[Database, _KeptPoints] = WeakKeyDictionary()
+def _kept_points() -> Kept[Variant, tuple[Points, npt.NDArray[np.float32]]]:
+    return Kept(MOST_KEPT_POINTS, lambda known: len(known[0][1]))
+
+
+_KEPT: WeakKeyDictionary[Database, Kept[Variant, tuple[Points, npt.NDArray[np.float32]]]] = WeakKeyDictionary()
 
 
 def own_points(psf: Spreadlet) -> tuple[Points, npt.NDArray[np.float32]]:

@@ -204,6 +204,41 @@ def rows_of_points(offset_rc, point_start, reach, base, first):
 
 
 @kernel
+def list_spans(offset_rc, lanes, point_start, direct, spans, value, span_of_variant):
+    """List the points of direct variants, those together that are neighbours in a row; return the number of spans.
+
+    Parameters
+    ----------
+    offset_rc : ndarray of shape (n_points, 2), int32
+    lanes : ndarray of shape (n_points, 1 or 4), float32
+    point_start : ndarray of shape (n_variants + 1,), int64
+    direct : ndarray of shape (n_variants,), bool
+    spans : SpanPlaces
+        Filled as far as there are spans; there is room for one of each point.
+    value : ndarray of shape (4 * n_direct_points,), float32
+        Filled with the values of the points.
+    span_of_variant : ndarray of shape (n_variants + 1,), int64
+        Filled with where the spans of each variant begin.
+    """
+    last, n_spans, n_points = lanes.shape[1] - 1, 0, 0
+    for variant in range(len(direct)):
+        span_of_variant[variant] = n_spans
+        if not direct[variant]:
+            continue
+        for p in range(point_start[variant], point_start[variant + 1]):
+            row, col = offset_rc[p, 0], offset_rc[p, 1]
+            # A span ends where a variant, a row or a stretch of neighbours does.
+            if p == point_start[variant] or row != offset_rc[p - 1, 0] or col != offset_rc[p - 1, 1] + 1:
+                spans.row[n_spans], spans.col[n_spans], spans.start[n_spans] = row, col, n_points
+                n_spans += 1
+            for c in range(4):
+                value[4 * n_points + c] = lanes[p, min(c, last)]
+            n_points += 1
+    span_of_variant[len(direct)], spans.start[n_spans] = n_spans, n_points
+    return n_spans
+
+
+@kernel
 def point_offsets(begin, end, variants, point_start, offset_rc, cols, offsets):
     """Turn the offsets of some variants into places in flattened images of strides 1, 2 and 4, see `_spread`.
 

@@ -100,18 +100,12 @@ class PointTable:
     @cached_property
     def spans(self) -> Spans:
         """The points of direct variants, those grouped that are neighbours in a row."""
-        chosen = np.flatnonzero(np.repeat(self.direct, self.n_points))
-        row, col = self.offset_rc[chosen].T
-        point_start = np.concatenate([[0], np.cumsum(np.where(self.direct, self.n_points, 0))])
-        breaks = np.ones(len(row), np.bool_)
-        breaks[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)
-        breaks[point_start[point_start < len(row)]] = True
-        first = np.flatnonzero(breaks)
-        start = np.append(first, len(row))
-        value = np.empty((len(row), 4), np.float32)
-        value[:] = self.lanes[chosen]
-        places = SpanPlaces(row[first].astype(np.int64), col[first].astype(np.int64), start)
-        return Spans(places, value.reshape(-1), np.searchsorted(first, point_start))
+        n_points = int(self.n_points[self.direct].sum())
+        row, col, start = np.empty((3, n_points + 1), np.int64)
+        value, span_of_variant = np.empty(4 * n_points, np.float32), np.empty(self.n_variants + 1, np.int64)
+        points = self.offset_rc, self.lanes, self.point_start, self.direct
+        n = _splat_kernels.list_spans(*points, SpanPlaces(row, col, start), value, span_of_variant)
+        return Spans(SpanPlaces(row[:n], col[:n], start[: n + 1]), value, span_of_variant)
 
     @cached_property
     def rows(self) -> PointRows:

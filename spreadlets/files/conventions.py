@@ -443,7 +443,10 @@ def motion_labels(
     unit = MOTION_UNITS[convention.unit]
     values = channels if unit == MotionUnit() else np.float32(unit.step) * channels - np.float32(unit.zero)
     factors = _px_per_unit(name, shape or channels.shape[:2], scale)
-    return {label: _combined(values, matrix) * factors for label, matrix in convention.rows.items()}
+    found = {label: _combined(values, matrix) for label, matrix in convention.rows.items()}
+    for motion in found.values():
+        motion *= factors
+    return found
 
 
 def stored_motion(name: str, labels: Mapping[str, FloatArray], depth: FloatArray, scale: Scale) -> FloatArray:

@@ -7,9 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from spreadlets.arrays import DoubleArray, IntArray
+from spreadlets.kept import Kept
 from spreadlets.parallel import for_bands
 from spreadlets.psf._capsule_kernels import FAINT, draw_capsules, half_sizes, round_thin
 from spreadlets.psf.spreadlet import Spreadlet
+
+MOST_KEPT_POINTS = 1 << 21
+"""Points of exact capsules that are kept for the next camera, 17 MB."""
 
 
 def exact_capsules(coordinate: DoubleArray, angle: DoubleArray, side: IntArray) -> Iterator[Spreadlet]:
@@ -26,7 +30,11 @@ def exact_capsules(coordinate: DoubleArray, angle: DoubleArray, side: IntArray) 
     -----
     LKS section 5.3: "a closed-form solution might exist for special models".
     """
-    yield from _drawn(_shapes(coordinate, angle), 0.0)
+    shapes = [tuple(each) for each in _shapes(coordinate, angle).tolist()]
+    yield from _kept.of(shapes, lambda missing: _drawn(np.array(missing).reshape(-1, 3), 0.0))
+
+
+_kept: Kept[tuple[float, ...], Spreadlet] = Kept(MOST_KEPT_POINTS, lambda psf: psf.n_points)
 
 
 def thin_capsules(coordinate: DoubleArray, angle: DoubleArray) -> Iterator[Spreadlet]:
@@ -55,4 +63,5 @@ def _drawn(shape: DoubleArray, faint: float) -> Iterator[Spreadlet]:
     count = np.empty(len(shape), np.int64)
     for_bands(draw_capsules, len(shape), shape, faint, first, offset_rc, value, count)
     for begin, n in zip(first, count, strict=False):
-        yield Spreadlet(offset_rc[begin : begin + n], value[begin : begin + n], True)
+        # Copies of their own: all would live as long as any of them.
+        yield Spreadlet(offset_rc[begin : begin + n].copy(), value[begin : begin + n].copy(), True)

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,10 +78,11 @@ class CellRecord(NamedTuple):
     statistics: Mapping[str, float]
 
 
-def absent_record(grid: PsfGrid, cell: int, pose: int) -> CellRecord:
+@lru_cache(maxsize=1 << 12)
+def absent_record(angle: float, n_channels: int) -> CellRecord:
     """Return the record of a pose that is left out: it has no points, and reading it is an error."""
-    empty = Spreadlet(np.zeros((0, 2), np.int16), np.zeros((0, grid.model.n_channels), np.float32))
-    return CellRecord(float(grid.angles(cell)[pose]), empty, dict.fromkeys(STATISTICS, 0.0))
+    empty = Spreadlet(np.zeros((0, 2), np.int16), np.zeros((0, n_channels), np.float32))
+    return CellRecord(angle, empty, dict.fromkeys(STATISTICS, 0.0))
 
 
 # --- Writing -------------------------------------------------------------------------------------------------------

@@ -25,23 +25,18 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import placed
 from spreadlets.view import picture
+from spreadlets.view.drafts import (
+    ALL_BUT_ONE_LAYER,
+    DRAFT,
+    FAST_S,
+    FIRST_SIDE,
+    LEFT_OUT,
+    TOO_SLOW_S,
+    DraftRenderer,
+    ladder,
+)
 from spreadlets.view.settings import Settings
 
-LEAST_SIDE = 512
-"""Longer side, px, below which no proxy goes."""
-FIRST_SIDE = 768
-"""That of the first proxy, at most."""
-SHARES = (1.0, 0.75, 0.625, 0.5, 0.375, 0.25, 0.1875, 0.125)
-"""Sizes of proxies."""
-TOO_SLOW_S, FAST_S = 0.075, 0.03
-"""Times of a proxy, s, from which a smaller one is taken next, and below which a larger one."""
-DRAFT_LAYERS = 2
-"""Depth layers of a proxy, while that is fast enough."""
-DRAFT = {"tolerance": 0.1, "cycles": 0}
-"""Options of a proxy: where all moves, steps of the display go unseen. The solver's last step is left out."""
-DRAFT_LEFT_OUT = ("curved paths", "last step of the solver")
-HIDDEN = "what lies hidden"
-"""What a proxy leaves out; the last in one layer only."""
 RESTING_S = 0.05
 """How long a drag must rest before the whole picture is begun: if it goes on, that is dropped."""
 LOOK_S = 0.01
@@ -168,8 +163,6 @@ class Studio:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        straight = Frame.of([layer.straight() for layer in scene.frame.layers])
-        self._sources = {False: scene.frame, True: straight}
         self._renderers: dict[tuple[Any, bool], Renderer] = {}
         self.latest: FloatArray | None = None
         self.kernels: dict[str, str] = {}
@@ -184,13 +177,13 @@ class Studio:
         return shows_motion(self.scene.frame, self.scene.camera)
 
     def renderer(self, settings: Settings, *, draft: bool, progress: Callable[..., None] | None = None) -> Renderer:
-        """Return the renderer of an aperture; of drafts, whose paths are straight."""
+        """Return the renderer of an aperture; or that of its drafts."""
         model = settings.model(moving=self.moving)
         key = model, draft
         with self._lock:
             if key not in self._renderers:
-                source = self._sources[draft]
-                self._renderers[key] = Renderer(source, model or self.scene.database, progress=progress)
+                kind = DraftRenderer if draft else Renderer
+                self._renderers[key] = kind(self.scene.frame, model or self.scene.database, progress=progress)
                 others = [each for each in self._renderers if each[0] is not None and each != key]
                 # A page may still use one; it is closed when nobody does.
                 for old in others[: max(len(others) - 2 * MOST_APERTURES, 0)]:
@@ -351,7 +344,7 @@ class Worker(threading.Thread):
         camera = request.settings.camera(self._studio.scene.camera)
         image, report = renderer.render(camera, **options, report=True)
         took = time.perf_counter() - begin
-        left_out = [*DRAFT_LEFT_OUT, *([HIDDEN] if report.plan["layers"] == 1 else [])]
+        left_out = [*LEFT_OUT, *([ALL_BUT_ONE_LAYER] if options["layers"] == 1 else [])]
         self._show(request, image, share, {"time_s": report.time_s, "plan": {"left_out": left_out}, "full": False})
         if took > TOO_SLOW_S:
             self._rung = min(self._rung + 1, len(self._ladder) - 1)
@@ -384,9 +377,3 @@ class Worker(threading.Thread):
         command = settings.command_line(list(scene.frames), scene.camera_file, scene.camera)
         message = {"type": "picture", "number": request.number, "width": width, "height": height, "share": share}
         self._tell({**message, "command": command, **report}, canvas.tobytes())
-
-
-def ladder(longer_side: int) -> list[tuple[float, int]]:
-    """Return the proxies of a frame, from slow to fast: their share of its size, and their layers."""
-    shares = [share for share in SHARES if share * longer_side >= LEAST_SIDE] or [1.0]
-    return [*((share, DRAFT_LAYERS) for share in shares), (shares[-1], 1)]

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from naive import sparsify as naive
 from naive.psfs import capsule_psf
+from scipy.signal import fftconvolve
 from skimage.metrics import structural_similarity
 
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
-from spreadlets.precompute.sparsify.similarity import similarity_equations
+from spreadlets.precompute.sparsify.similarity import detail_filter, similarity_equations, with_detail
 from spreadlets.precompute.sparsify.symmetry import GROUPS, IDENTITY, find_group, orbits, symmetrise
 from spreadlets.psf.laplacian import laplacian
 
@@ -94,3 +95,10 @@ def test_large_problems_are_thinned_without_losing_the_scale(monkeypatch):
     value = full.solve(full.free_inverse())
     assert thinned.objective(value) == pytest.approx(full.objective(value), rel=0.1)
     assert not np.array_equal(thinned.gram, full.gram)
+
+
+@pytest.mark.parametrize("shape", [(7, 30), (64, 45)])
+def test_the_detail_of_an_image_is_its_convolution_with_the_filter(shape):
+    image = np.random.default_rng(3).random(shape)
+    expected = fftconvolve(image, detail_filter(), mode="same")
+    np.testing.assert_array_equal(with_detail(image), expected)

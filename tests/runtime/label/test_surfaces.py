@@ -12,6 +12,7 @@ from spreadlets.runtime.label.surfaces import (
     SharedSurfaces,
     depth_is_filtered,
     depth_is_noise,
+    split_lights,
     split_surfaces,
     without_nothing,
 )
@@ -241,11 +242,27 @@ def test_an_element_all_of_whose_samples_of_depth_hit_it_keeps_them():
 
 def test_surfaces_are_kept_for_the_next_camera_unless_there_are_too_many(monkeypatch):
     layer = Frame(np.ones((8, 8, 3)), np.where(np.arange(8) < 4, 2.0, 4.0) * np.ones((8, 1))).layers[0]
-    kept = surfaces.KeptSurfaces()
+    kept = surfaces.KeptSurfaces(split_surfaces)
     assert kept(layer, CAMERA) is kept(layer, replace(CAMERA, focus_distance_m=3.0))
     assert kept(layer, CAMERA) is not kept(layer, replace(CAMERA, f_number=2 * CAMERA.f_number))
     monkeypatch.setattr(surfaces, "MOST_KEPT_PIXELS", 64)
     assert kept(layer, CAMERA) is not kept(layer, CAMERA)
+
+
+def test_drafts_divide_the_pixels_of_lights_alone():
+    layer, share = drawn(edge)
+    (dim,) = split_lights(layer, CAMERA)
+    assert dim.share is None
+    np.testing.assert_allclose(dim.layer.radiance, layer.radiance, atol=1e-6)
+    # The upper half of the near shape is a lamp.
+    lamp, light = np.where((np.arange(24) < 10)[:, None], share, 0.0), 20.0 * np.append(RED, 0.0)
+    lit = replace(layer, radiance=(layer.radiance + lamp[..., None] * light).astype(np.float32))
+    found, every = (in_frame(split(lit, CAMERA), lit.shape) for split in (split_lights, split_surfaces))
+    total = sum(own.radiance * part[..., None] for own, part in found)
+    np.testing.assert_allclose(total, lit.radiance, atol=1e-5)
+    mixed, all_mixed = (np.any([(part > 0) & (part < 1) for _, part in each], axis=0) for each in (found, every))
+    assert np.array_equal(mixed[:9], all_mixed[:9]) and mixed[:9].any()
+    assert all_mixed[18:].any() and not mixed[18:].any()
 
 
 @pytest.mark.parametrize("shape", [edge, stick, dot])

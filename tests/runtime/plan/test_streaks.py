@@ -25,9 +25,9 @@ def coded(x, y, across, down):
 def drawn(path, shift=(0.0, 0.0), curve=None):
     """The image (41, 41) of one streak about its pixel, and the sum of its points."""
     model = get_model("combined", settings={} if curve is None else {"shutter_curve": curve})
-    streaks = draw_streaks(np.array([coded(*path, *shift)]), model)
+    ((offset_rc, value, _),) = draw_streaks(np.array([coded(*path, *shift)]), model)
     image = np.zeros((41, 41))
-    image[tuple(streaks.offset_rc.T + 20)] = streaks.value[:, 0]
+    image[tuple(offset_rc.T + 20)] = value[:, 0]
     return image
 
 
@@ -39,13 +39,14 @@ def thin_coded(radius, x, y, excess):
 @pytest.mark.interpreted
 @pytest.mark.parametrize("radius", [0.5, 0.75, 1.5, 2.5])
 def test_a_small_disc_has_its_own_radius(radius):
-    discs = draw_streaks(np.array([2 * thin_coded(radius, 0.0, 0.0, 1.0) + 1]), get_model("combined"))
-    assert discs.value.sum() == pytest.approx(1.0, abs=1e-6)
+    code = 2 * thin_coded(radius, 0.0, 0.0, 1.0) + 1
+    ((offset_rc, value, _),) = draw_streaks(np.array([code]), get_model("combined"))
+    assert value.sum() == pytest.approx(1.0, abs=1e-6)
     # The variance of a disc along an axis is r^2 / 4, that of a pixel 1 / 12.
-    variance = float((discs.value[:, 0] * discs.offset_rc[:, 0] ** 2).sum())
+    variance = float((value[:, 0] * offset_rc[:, 0] ** 2).sum())
     assert variance == pytest.approx(radius**2 / 4 - 1 / 12 if radius > 1 else variance, abs=0.25)
     peak = 1.0 if radius <= 0.5 else 1.0 / (np.pi * radius**2) if radius > 0.71 else None
-    assert peak is None or discs.value.max() == pytest.approx(peak, rel=0.02)
+    assert peak is None or value.max() == pytest.approx(peak, rel=0.02)
 
 
 @pytest.mark.interpreted
@@ -53,9 +54,10 @@ def test_a_small_disc_has_its_own_radius(radius):
     ("path", "excess"), [((7.0, -3.0), 1.0), ((-7.0, 3.0), 1.0), ((150.0, 20.0), 1.0), ((9.0, 0.0), 3.0)]
 )
 def test_a_thin_capsule_has_its_own_length_and_direction(path, excess):
-    psf = draw_streaks(np.array([2 * thin_coded(2.0 * excess, *path, excess) + 1]), get_model("combined"))
-    row, col = psf.offset_rc.T.astype(float)
-    light = psf.value[:, 0].astype(float)
+    code = 2 * thin_coded(2.0 * excess, *path, excess) + 1
+    ((offset_rc, value, _),) = draw_streaks(np.array([code]), get_model("combined"))
+    row, col = offset_rc.T.astype(float)
+    light = value[:, 0].astype(float)
     assert light.sum() == pytest.approx(1.0, abs=1e-5)
     # A path of l has the variance l^2 / 12 along an axis, a disc r^2 / 4; ends are off by a quarter of a step or less.
     step = 1.0 if excess == 1.0 and max(path) < 128 else 2.0 if excess == 1.0 else 4.0
@@ -63,6 +65,16 @@ def test_a_thin_capsule_has_its_own_length_and_direction(path, excess):
         spread = float(np.sqrt(12.0 * max((light * offset**2).sum() - excess**2, 0.0)))
         assert spread == pytest.approx(abs(length), abs=1.0 + step / 2)
     assert np.sign((light * row * col).sum()) == np.sign(path[0] * path[1])
+
+
+def test_streaks_are_drawn_once(monkeypatch):
+    codes, model = np.array([coded(9.5, 3.5, 0.0, 0.0), coded(11.5, -3.5, 0.25, 0.0)]), get_model("combined")
+    first = draw_streaks(codes, model)
+    monkeypatch.setattr("spreadlets.runtime.plan.streaks.for_bands", None)
+    again = draw_streaks(codes[::-1], model)
+    for one, other in zip(first, again[::-1], strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
 
 
 def test_opposite_paths_share_a_capsule_and_codes_of_short_paths_are_small():

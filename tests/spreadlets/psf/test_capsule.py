@@ -63,3 +63,12 @@ def test_what_does_not_move_has_no_direction():
     one, other = (psf.to_dense() for psf in still)
     np.testing.assert_array_equal(one, other)
     np.testing.assert_allclose(one, one[::-1, ::-1], atol=1e-9)
+
+
+def test_exact_capsules_are_drawn_once(monkeypatch):
+    given = np.array([[5.03125, 7.0], [6.03125, 0.0]]), np.array([0.25, 0.0]), np.array([1, 1])
+    first = list(exact_capsules(*given))
+    monkeypatch.setattr("spreadlets.psf.capsule.for_bands", None)
+    again = list(exact_capsules(*(each[::-1] for each in given)))
+    for one, other in zip(first, again[::-1], strict=True):
+        np.testing.assert_array_equal(one.to_dense(), other.to_dense())

@@ -62,7 +62,7 @@ def test_histograms_and_scatter_show_every_spreadlet(small_combined, tmp_path, d
 
 def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn):
     grid, statistics = small_combined.grid, small_combined.statistics()
-    cells = [[absent_record(grid, cell, n) for n in range(grid.direction_counts[cell])] for cell in range(grid.n_cells)]
+    cells = [[absent_record(angle, 1) for angle in grid.angles(cell).tolist()] for cell in range(grid.n_cells)]
     for cell in (5, 20):
         figures = {name: column[small_combined.cell_start[cell] + 1] for name, column in statistics.items()}
         cells[cell][1] = CellRecord(cells[cell][1].angle, small_combined.cell(cell, 1), figures)
