@@ -276,17 +276,21 @@ def _places(
 
 def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:
     """Return a list of the pixels of a frame in which something lies hidden, strands of the frame's colours too."""
-    chosen = np.flatnonzero(share != 0.0)
-    number, part, shown = chosen, share.ravel()[chosen], features.reshape(-1, features.shape[2])[chosen]
+    number = np.flatnonzero(share != 0.0)
+    part, strand = share.ravel()[number], np.zeros(0, np.int64)
     if len(strands.at):
-        on_sides = take_features(frame, first, np.unravel_index(strands.sides, frame.shape)).mean(axis=1)
-        number, part = np.concatenate([number, strands.at]), np.concatenate([part, strands.share])
-        order = np.argsort(number, kind="stable")
-        number, part, shown = number[order], part[order], np.concatenate([shown, on_sides])[order]
+        # Strands come behind what else is hidden in their pixels.
+        before = np.searchsorted(number, strands.at, side="right")
+        number, part = np.insert(number, before, strands.at), np.insert(part, before, strands.share)
+        strand = before + np.arange(len(before))
     if not len(number):
         return None
     index = rows_of(np.arange(len(number)))
+    shown = features.reshape(-1, features.shape[2])[number[index]]
+    if len(strand):
+        sides = np.unravel_index(strands.sides, frame.shape)
+        shown.reshape(-1, shown.shape[2])[strand] = take_features(frame, first, sides).mean(axis=1)
     at = np.stack(np.divmod(number[index], share.shape[1]), axis=-1).astype(np.int32)
     part = part[index]
     part.ravel()[len(number) :] = 0.0
-    return Surface(with_features(first, shown[index]), part, at)
+    return Surface(with_features(first, shown), part, at)

@@ -87,7 +87,7 @@ def test_psfs_of_highlights_are_stored_and_a_damaged_file_is_no_harm(cache, fram
 
 
 def test_what_was_not_used_for_the_longest_goes_first(cache, frame, monkeypatch):
-    models = [replace(MODEL, blades=blades) for blades in (5, 6, 7)]
+    models = [replace(MODEL, blades=blades, samples=6) for blades in (5, 6, 7)]
     files = [bokeh.BokehCache(model).path for model in models]
     for age, model, file in zip((200, 100), models, files, strict=False):
         sp.synthesize(frame, CAMERA, model)

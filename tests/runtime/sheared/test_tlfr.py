@@ -70,7 +70,7 @@ def prepared(given, **settings):
 
 @pytest.mark.interpreted
 def test_views_see_what_the_naive_twin_sees():
-    given = mixed(np.random.default_rng(1), 11, 13)
+    given = mixed(np.random.default_rng(1), 9, 10)
     tiles = prepared(given, views=3, tile=8)
     expected = seen_by_views(tiles.trajectories, tiles.views)
     sums = np.zeros(expected.shape, np.float32)
