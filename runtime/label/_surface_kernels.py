@@ -546,10 +546,12 @@ def _explain(given, row, col, gap, work):
     # Guess the shares.
     _number_surfaces(place, row, col, bounds, which)
     along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
-    total, each[2], wider[2] = 0.0, 0.0, 0.0
-    for s in range(count):
+    each[0], wider[0] = _edge_share(point, row, col, bounds[0, 0], bounds[0, 1], which, 0, along, longest)
+    # Of two, the other covers the rest.
+    each[1], wider[1], each[2], wider[2] = 1.0 - each[0], -wider[0], 0.0, 0.0
+    for s in range(1 if count == 3 else count, count):
         each[s], wider[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
-        total += each[s]
+    total = each[0] + each[1] + each[2]
     if total == 0.0:
         return 0
     for s in range(count):

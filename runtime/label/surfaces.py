@@ -30,7 +30,7 @@ SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
-FILTER_PIXELS = 1 << 13
+FILTER_PIXELS = 1 << 12
 """About so many mixed pixels tell how wide the filter is."""
 USUAL_WIDENING, WIDENINGS = 0.03, (-0.05, 0.2)
 """Half of what a filter's variance is larger by than that of a tent, px^2: usually, and at least and most."""
