@@ -5,6 +5,7 @@ import pytest
 from view_page import ask, full, live, receive
 from view_scene import CAMERA
 
+from spreadlets.view import session
 from spreadlets.view.session import Ahead, Settings, Superseded
 
 BEGINS_WITH = Settings.of_camera(CAMERA)
@@ -59,7 +60,8 @@ def test_a_drag_stops_what_was_begun_with(server, studio):
         full(page, 1)
 
 
-def test_a_draft_says_what_it_leaves_out(server):
+def test_a_draft_says_what_it_leaves_out(server, monkeypatch):
+    monkeypatch.setattr(session, "TOO_SLOW_S", np.inf)
     with live(server) as page:
         ask(page, 1, dragging=True, f_number=3.0, layers=1)
         in_one_layer = receive(page, "picture")[0]["plan"]["left_out"]
