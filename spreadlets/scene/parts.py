@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -206,7 +207,8 @@ def depth_at(depth: FloatArray, raster: Raster, x: float, y: float) -> float:
         If there is no pixel there.
     """
     left, top, width, height = raster.data
-    col, row = round(x) - left, round(y) - top
+    finite = math.isfinite(x) and math.isfinite(y)
+    col, row = (round(x) - left, round(y) - top) if finite else (-1, -1)
     if not (0 <= col < width and 0 <= row < height):
         raise InvalidParameterError(
             f"the point {x:g},{y:g} lies outside the frame's {width} x {height} px at {left},{top}"
