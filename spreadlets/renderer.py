@@ -19,7 +19,7 @@ from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, Left
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model
 from spreadlets.psf.database import Database, open_database, shared_database
-from spreadlets.scene.camera import LensKey, ThinLens
+from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.doubts import depth_range, frame_doubts
 from spreadlets.scene.frame import Frame
@@ -361,9 +361,7 @@ class Renderer:
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
         if options.focus_at is None:
             return camera
-        held = [replace(key, focus_distance_m=None) for key in camera.keys]
-        keys = tuple(key for key in held if key != LensKey(key.time))
-        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at), keys=keys)
+        return camera.held(focus_distance_m=self.depth_at(*options.focus_at))
 
     def _open(self, moving: bool) -> Database:
         """Return the database, opened if it is not."""

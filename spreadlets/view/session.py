@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spreadlets.arrays import FloatArray
-from spreadlets.errors import SpreadletsError
+from spreadlets.errors import SpreadletsError, options_spelled
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer, shows_motion
 from spreadlets.runtime.clock import Clock
@@ -25,7 +25,7 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import placed
 from spreadlets.view import picture
-from spreadlets.view.settings import Settings
+from spreadlets.view.settings import Settings, spelled
 
 LEAST_SIDE = 512
 """Longer side, px, below which no proxy goes."""
@@ -297,7 +297,8 @@ class Worker(threading.Thread):
         """Work until the page is closed."""
         while (request := self._next()) is not None:
             try:
-                self._answer(request)
+                with options_spelled(spelled):
+                    self._answer(request)
             except Superseded:
                 continue
             except SpreadletsError as error:

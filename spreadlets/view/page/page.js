@@ -17,7 +17,14 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/live?token=${encodeURIComponent(TOKEN)}`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (event) => receive(event.data);
-  socket.onclose = () => say("the program has ended, or the connection is lost: reload the page", true);
+  socket.onclose = lost;
+}
+
+function lost() { say("the program has ended, or the connection is lost: reload the page", true); }
+
+function tell(message) {
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  else if (socket.readyState !== WebSocket.CONNECTING) lost();
 }
 
 function receive(buffer) {
@@ -94,8 +101,17 @@ function ask(dragging) {
   asked += 1;
   $("progress").hidden = true;
   if (!dragging) say(`rendering ${asked}`);
-  if (socket.readyState !== WebSocket.OPEN) return;
-  socket.send(JSON.stringify({ type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() }));
+  tell({ type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() });
+}
+
+// What is at an address; nothing, and the reason is shown, if it cannot be had.
+async function fetched(address, options) {
+  try {
+    const answer = await fetch(`${address}?token=${TOKEN}`, options);
+    if (answer.ok) return answer;
+    say(await answer.text(), true);
+  } catch { lost(); }
+  return null;
 }
 
 function isJudging() { return Number($("wipe").value) > 0 && $("against").value !== "pinhole"; }
@@ -105,18 +121,20 @@ function say(text, wrong = false) {
   $("status").classList.toggle("wrong", wrong);
 }
 
-function leftOut(message) { return message.plan.left_out?.length ? `  left out: ${message.plan.left_out.join(", ")}` : ""; }
+const counted = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+
+function leftOut(message) { return message.plan.left_out?.length ? `, left out: ${message.plan.left_out.join(", ")}` : ""; }
 
 function report(message) {
   const time = Object.entries(message.time_s).filter(([name, value]) => value > 0.0005 && name !== "total")
-    .map(([name, value]) => `${name} ${(1000 * value).toFixed(0)}`).join("  ");
+    .map(([name, value]) => `${name} ${(1000 * value).toFixed(0)}`).join(", ");
   const total = (1000 * message.time_s.total).toFixed(0);
   if (!message.full) {
-    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms  (${time})${leftOut(message)}`);
+    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms (${time})${leftOut(message)}`);
     return;
   }
   $("progress").hidden = true;
-  say(message.number === asked ? `ready ${message.number}: ${total} ms  (${time})  ${message.plan.layers} layers${leftOut(message)}` : `rendering ${asked}`);
+  say(message.number === asked ? `ready ${message.number}: ${total} ms (${time}), ${counted(message.plan.layers, "layer")}${leftOut(message)}` : `rendering ${asked}`);
 }
 
 // --- Settings ---------------------------------------------------------------------------------------------------
@@ -170,8 +188,8 @@ for (const input of inputs) {
 $("kernel").addEventListener("change", async () => {
   const file = $("kernel").files[0];
   if (!file) return;
-  const answer = await fetch(`kernel?token=${TOKEN}`, { method: "POST", body: await file.arrayBuffer() });
-  if (!answer.ok) { say(await answer.text(), true); return; }
+  const answer = await fetched("kernel", { method: "POST", body: await file.arrayBuffer() });
+  if (!answer) return;
   kernel = (await answer.json()).kernel;
   ask(false);
 });
@@ -260,16 +278,16 @@ canvas.addEventListener("pointermove", (event) => {
     return;
   }
   const now = performance.now(), pixel = pixelAt(event);
-  if (pixel && now - probed > 60 && socket.readyState === WebSocket.OPEN) {
+  if (pixel && now - probed > 60) {
     probed = now;
-    socket.send(JSON.stringify({ type: "probe", ...pixel, settings: { ...settings, kernel } }));
+    tell({ type: "probe", ...pixel, settings: { ...settings, kernel } });
   }
 });
 canvas.addEventListener("pointerleave", () => { $("probe").textContent = ""; });
 canvas.addEventListener("pointerup", (event) => {
   const pixel = grip && !grip.moved && event.button === 0 ? pixelAt(event) : null;
   grip = null;
-  if (pixel) socket.send(JSON.stringify({ type: "focus", ...pixel, keep: event.shiftKey }));
+  if (pixel) tell({ type: "focus", ...pixel, keep: event.shiftKey });
 });
 canvas.addEventListener("wheel", (event) => {
   if (!hello) return;
@@ -308,8 +326,8 @@ function showKeys() {
 function addKey() { keys.set(Number($("frame-number").value), settings.focus); showKeys(); }
 
 async function download(address, options, name) {
-  const answer = await fetch(`${address}?token=${TOKEN}`, options);
-  if (!answer.ok) { say(await answer.text(), true); return; }
+  const answer = await fetched(address, options);
+  if (!answer) return;
   const link = document.createElement("a");
   link.href = URL.createObjectURL(await answer.blob());
   link.download = name;

@@ -96,6 +96,25 @@ def test_the_command_line_makes_the_same_picture(files, tmp_path, monkeypatch):
     np.testing.assert_allclose(sp.read_image(tmp_path / "out.exr"), expected, atol=1e-4)
 
 
+def test_a_camera_that_moves_goes_on_moving_while_its_lens_is_chosen():
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    begin = sp.LensKey(-0.25, focus_distance_m=2.0, camera_to_world=np.eye(4))
+    moving = replace(CAMERA, keys=(begin, sp.LensKey(0.25, f_number=4.0), sp.LensKey(0.25, camera_to_world=aside)))
+    found = settings(focus=3).camera(moving)
+    assert found.moves_picture and found.pose_at(0.25)[0][3] == 0.5
+    assert found.at(-0.25).focus_distance_m == found.at(0.25).focus_distance_m == 3.0
+    assert found.at(0.25).f_number == CAMERA.f_number
+
+
+def test_cameras_of_a_sequence_hold_the_cameras_move(tmp_path):
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    moving = replace(CAMERA, keys=(sp.LensKey(0.0, camera_to_world=np.eye(4)), sp.LensKey(0.5, camera_to_world=aside)))
+    (tmp_path / "camera.json").write_text(camera_files(moving, [[8, 2.0]])["camera.0008.json"])
+    assert read_camera(tmp_path / "camera.json") == replace(moving, focus_distance_m=2.0)
+
+
 def test_focus_keys_become_a_camera_for_each_frame(tmp_path):
     found = camera_files(CAMERA, [[8, 1.0], [10, 2.0], [14, 2.0]])
     assert list(found) == [f"camera.{number:04d}.json" for number in range(8, 15)]
