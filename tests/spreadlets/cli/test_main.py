@@ -11,8 +11,10 @@ import pytest
 from spreadlets.cli import main as cli
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
+from spreadlets.files.exr_samples import write_samples
 from spreadlets.psf.database import open_database
 from spreadlets.scene.frame import Frame
+from spreadlets.scene.samples import SampleBuffer
 
 CAMERA = {
     "focal_length_mm": 50.0,
@@ -595,3 +597,26 @@ def test_what_is_read_as_hidden_is_not_replaced(run, posts, small_combined_path)
     )
     status, _, err = run("synth", posts / "shot.0002.exr", *given, "--db", small_combined_path)
     assert status != 0 and "shot.0001.exr" in err
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (("--method", "mean", "--no-motion"), "--no-motion is no option of method 'mean'"),
+        (("--method", "mean", "--layers", "3"), "--layers is no option of method 'mean'"),
+        (("--method", "lrdm", "--no-calibrate"), "--no-calibrate is no option of method 'lrdm'"),
+    ],
+)
+def test_options_of_other_methods_are_named_as_they_are_typed(run, tmp_path, chosen, message):
+    pairs = np.zeros((4, 6, 1, 2))
+    times = pairs[..., 0]
+    samples = SampleBuffer(np.ones((4, 6, 1, 3)), times + 1.0, pairs, pairs, times)
+    write_samples(tmp_path / "samples.exr", samples)
+    lens = "--focal-length", "50", "--sensor-width", "36", "--f-number", "2", "--focus", "3"
+    status, _, err = run("reconstruct", tmp_path / "samples.exr", "-o", tmp_path / "out.exr", *lens, *chosen)
+    assert status == 2 and message in err
+
+
+def test_the_page_names_a_frame_that_is_not_there(run, tmp_path):
+    status, _, err = run("view", tmp_path / "frame.exr", "--json")
+    assert status == 2 and "frame.exr: there is no such file" in err
