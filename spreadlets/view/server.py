@@ -308,8 +308,13 @@ class Server:
 
     def _focus(self, message: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         x, y = self._place(message)
-        depth = min(self.studio.plain.depth_at(x, y), 1e9)
-        return {"type": "focus", "x": x, "y": y, "focus": depth, "keep": message.get("keep") is True}
+        return {
+            "type": "focus",
+            "x": x,
+            "y": y,
+            "focus": self.studio.focus_at(x, y),
+            "keep": message.get("keep") is True,
+        }
 
     def _probe(self, message: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         """Return what is known of a pixel."""

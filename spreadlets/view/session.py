@@ -25,7 +25,7 @@ from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 from spreadlets.scene.raster import placed
 from spreadlets.view import picture
-from spreadlets.view.settings import Settings, spelled
+from spreadlets.view.settings import BOUNDS, Settings, spelled
 
 LEAST_SIDE = 512
 """Longer side, px, below which no proxy goes."""
@@ -228,6 +228,10 @@ class Studio:
     def stop(self) -> None:
         """Stop what was begun with."""
         self._ahead.drop()
+
+    def focus_at(self, x: float, y: float) -> float:
+        """Return the distance, m, at which what lies under a point is in focus, as a setting: the sky's is finite."""
+        return min(self.plain.depth_at(x, y), BOUNDS["focus"][1])
 
     def pinhole(self) -> FloatArray:
         """Return the frame without any blur, (H, W, 4) float32."""

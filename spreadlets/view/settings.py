@@ -38,7 +38,7 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "near": (0.0, 1e9),
     "far": (0.0, 1e9),
 }
-"""Least and largest value of each number."""
+"""Least and largest value of each number; the largest focus stands for infinity."""
 
 
 LABELS: Mapping[str, str] = {
@@ -139,7 +139,8 @@ class Settings:
     def camera(self, base: ThinLens) -> ThinLens:
         """Return the camera, its lens held, with the sensor, the move and the middle of the shutter of another."""
         half, centre = 0.5 * self.shutter / DEGREES_PER_FRAME, base.shutter_centre
-        held = base.held(f_number=self.f_number, focal_length_mm=self.focal_length, focus_distance_m=self.focus)
+        focus = self.focus if self.focus < BOUNDS["focus"][1] else math.inf
+        held = base.held(f_number=self.f_number, focal_length_mm=self.focal_length, focus_distance_m=focus)
         return replace(held, shutter=(centre - half, centre + half))
 
     def options(self) -> dict[str, Any]:
@@ -181,7 +182,7 @@ class Settings:
         words += ["--camera", camera] if camera else ["--sensor-width", f"{base.sensor_width_mm:g}"]
         own = self.camera(base)
         words += ["--f-number", f"{self.f_number:.6g}", "--focal-length", f"{self.focal_length:.6g}"]
-        words += ["--focus", f"{self.focus:.6g}", "--shutter", f"{own.shutter[0]:.6g},{own.shutter[1]:.6g}"]
+        words += ["--focus", f"{own.focus_distance_m:.6g}", "--shutter", f"{own.shutter[0]:.6g},{own.shutter[1]:.6g}"]
         for name, value in (self.options() | self.shape()).items():
             words.append("--" + name.replace("_", "-"))
             if value is not True:

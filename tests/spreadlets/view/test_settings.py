@@ -31,6 +31,12 @@ def test_unchanged_settings_are_the_camera_and_no_options():
     assert settings().options() == {} and settings().model(moving=True) is None
 
 
+def test_a_camera_at_infinity_stays_there():
+    far = replace(CAMERA, focus_distance_m=np.inf)
+    chosen = Settings.of_camera(far)
+    assert chosen.camera(far) == far and "--focus inf" in chosen.command_line(["frame.exr"], None, far)
+
+
 def test_each_setting_reaches_the_camera_the_options_or_the_aperture():
     camera = settings(f_number=4, focal_length=50, focus=3, shutter=90).camera(CAMERA)
     assert camera == replace(CAMERA, f_number=4, focal_length_mm=50, focus_distance_m=3, shutter=(0.125, 0.375))
