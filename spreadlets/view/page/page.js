@@ -6,6 +6,7 @@ const $ = (id) => document.getElementById(id);
 const settings = {};            // What is chosen, by the server's names.
 const images = {};              // pinhole, reference, result: canvases.
 const keys = new Map();         // Focus by frame.
+const INFINITE = 1e9;           // The focus on the sky; a slider that reached there could not be set to anything near.
 const view = { zoom: 0, x: 0, y: 0 };  // 0: the whole picture.
 let hello = null, initial = null, socket = null, kernel = "";
 let asked = 0;
@@ -156,7 +157,7 @@ function set(name, value) {
   settings[name] = value;
   const input = inputOf[name];
   if (!input) return;
-  if (input.type === "range" && Number(input.max) < value) input.max = value;
+  if (input.type === "range" && Number(input.max) < value && value < INFINITE) input.max = value;
   if (input.type === "range" && Number(input.min) > value) input.min = value;
   input.value = typeof value === "number" && input.type !== "range" ? short(value) : value;
   const field = fieldOf(input);

@@ -232,6 +232,13 @@ def test_the_page_fits_and_can_be_read_in_any_size_and_scheme(page, scheme, widt
     assert abs(ground - text) > 150 and (ground > text) == (scheme == "light")
 
 
+def test_focus_on_the_sky_leaves_the_slider_of_use(page):
+    before = float(page.get_attribute("#focus", "max"))
+    page.evaluate("handlers.focus({ focus: 1e9, keep: false })")
+    assert page.evaluate("settings.focus") == 1e9 and float(page.get_attribute("#focus", "max")) == before
+    act(page, lambda: page.click("#reset"))
+
+
 def test_a_narrow_page_has_the_settings_below_the_picture(page):
     page.set_viewport_size({"width": 420, "height": 800})
     panel, picture = (page.locator(each).bounding_box() for each in ("aside", "main"))
