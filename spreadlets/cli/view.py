@@ -46,6 +46,7 @@ def view(
     from spreadlets.files.cameras import camera_of
     from spreadlets.files.exr_file import opened
     from spreadlets.files.recognise import ReadOptions
+    from spreadlets.jobs.databases import kept_database
     from spreadlets.view.session import Scene, Studio
 
     reading = take_reading(options)
@@ -55,7 +56,8 @@ def view(
         frame = exr.read_frame(files, options=chosen)
     lens = lens.fitted(frame.raster.display.shape, frame.raster.pixel_aspect)
     truth = exr.read_reference(reference, chosen) if reference else None
-    studio = Studio(Scene(frame, lens, database, truth, frames, camera))
+    scene = Scene(frame, lens, None if database is None else kept_database(database), truth, frames, camera)
+    studio = Studio(scene)
     with compiled_ahead("synthesize"):
         studio.begin()
         try:

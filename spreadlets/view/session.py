@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spreadlets.arrays import FloatArray
-from spreadlets.errors import SpreadletsError, options_spelled
+from spreadlets.errors import InvalidFrameError, SpreadletsError, options_spelled
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer, shows_motion
 from spreadlets.runtime.clock import Clock
@@ -102,6 +102,11 @@ class Scene:
     frames : tuple of str
         The frame's files.
     camera_file : str or None
+
+    Raises
+    ------
+    InvalidFrameError
+        If the reference has another size.
     """
 
     frame: Frame
@@ -110,6 +115,14 @@ class Scene:
     reference: FloatArray | None = None
     frames: tuple[str, ...] = ()
     camera_file: str | None = None
+
+    def __post_init__(self) -> None:
+        display = self.frame.raster.display
+        if self.reference is not None and self.reference.shape[:2] != display.shape:
+            height, width = self.reference.shape[:2]
+            raise InvalidFrameError(
+                f"the reference has {width} x {height} px, the frame displays {display.width} x {display.height}"
+            )
 
 
 class Ahead(threading.Thread):

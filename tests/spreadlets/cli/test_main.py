@@ -617,6 +617,13 @@ def test_options_of_other_methods_are_named_as_they_are_typed(run, tmp_path, cho
     assert status == 2 and message in err
 
 
-def test_the_page_names_a_frame_that_is_not_there(run, tmp_path):
-    status, _, err = run("view", tmp_path / "frame.exr", "--json")
+def test_the_page_is_not_shown_of_files_that_do_not_fit(run, tmp_path):
+    frame, lens = tmp_path / "frame.exr", ("--focal-length", "50", "--f-number", "2", "--focus", "3", "--json")
+    status, _, err = run("view", frame, *lens)
     assert status == 2 and "frame.exr: there is no such file" in err
+    exr.write_frame(frame, Frame(np.ones((8, 12, 3)), np.ones((8, 12))))
+    images.write_image(tmp_path / "other.exr", np.ones((12, 8, 3)))
+    status, _, err = run("view", frame, *lens, "--reference", tmp_path / "other.exr")
+    assert status == 2 and "the reference has 8 x 12 px, the frame displays 12 x 8" in err
+    status, _, err = run("view", frame, *lens, "--db", "nothing")
+    assert status == 2 and "no database 'nothing'" in err
