@@ -245,6 +245,7 @@ class Server:
             "type": "hello",
             "width": width,
             "height": height,
+            "aspect": raster.pixel_aspect,
             "left": raster.data.left,
             "top": raster.data.top,
             "names": [os.path.basename(each) for each in scene.frames],

@@ -206,9 +206,9 @@ function placement() {
     canvas.width = Math.round(width);
     canvas.height = Math.round(height);
   }
-  const whole = Math.min(width / hello.width, height / hello.height);
-  const scale = view.zoom || whole;
-  return { scale, ratio, left: width / 2 - scale * (hello.width / 2 + view.x), top: height / 2 - scale * (hello.height / 2 + view.y) };
+  const whole = Math.min(width / (hello.width * hello.aspect), height / hello.height);
+  const scale = view.zoom || whole, across = scale * hello.aspect;  // Of a pixel's height and width.
+  return { scale, across, ratio, left: width / 2 - across * (hello.width / 2 + view.x), top: height / 2 - scale * (hello.height / 2 + view.y) };
 }
 
 let drawing = false;
@@ -219,9 +219,9 @@ function draw() {
 }
 
 function paint() {
-  const { scale, left, top } = placement();
+  const { scale, across, left, top } = placement();
   const context = canvas.getContext("2d", { alpha: false });
-  const width = hello.width * scale, height = hello.height * scale;
+  const width = hello.width * across, height = hello.height * scale;
   context.fillStyle = getComputedStyle($("stage")).backgroundColor;
   context.fillRect(0, 0, canvas.width, canvas.height);
   const place = (image) => {
@@ -252,9 +252,9 @@ function paint() {
 }
 
 function pixelAt(event) {
-  const { scale, ratio, left, top } = placement();
+  const { scale, across, ratio, left, top } = placement();
   const box = canvas.getBoundingClientRect();
-  const x = Math.floor(((event.clientX - box.left) * ratio - left) / scale), y = Math.floor(((event.clientY - box.top) * ratio - top) / scale);
+  const x = Math.floor(((event.clientX - box.left) * ratio - left) / across), y = Math.floor(((event.clientY - box.top) * ratio - top) / scale);
   if (x < 0 || y < 0 || x >= hello.width || y >= hello.height) return null;
   return { x: x + hello.left, y: y + hello.top };
 }
@@ -268,11 +268,11 @@ canvas.addEventListener("pointerdown", (event) => {
 canvas.addEventListener("pointermove", (event) => {
   if (!hello) return;
   if (grip) {
-    const { scale, ratio } = placement();
+    const { scale, across, ratio } = placement();
     const dx = event.clientX - grip.x, dy = event.clientY - grip.y;
     if (Math.hypot(dx, dy) > 4) grip.moved = true;
     if (grip.moved && view.zoom) {
-      view.x = grip.view.x - (dx * ratio) / scale;
+      view.x = grip.view.x - (dx * ratio) / across;
       view.y = grip.view.y - (dy * ratio) / scale;
       draw();
     }
@@ -294,7 +294,7 @@ canvas.addEventListener("wheel", (event) => {
   if (!hello) return;
   event.preventDefault();
   const before = placement(), box = canvas.getBoundingClientRect();
-  const x = ((event.clientX - box.left) * before.ratio - before.left) / before.scale, y = ((event.clientY - box.top) * before.ratio - before.top) / before.scale;
+  const x = ((event.clientX - box.left) * before.ratio - before.left) / before.across, y = ((event.clientY - box.top) * before.ratio - before.top) / before.scale;
   const scale = Math.min(Math.max(before.scale * Math.exp(-event.deltaY / 500), 0.05), 64);
   view.x = x - hello.width / 2 - ((x - hello.width / 2 - view.x) * before.scale) / scale;
   view.y = y - hello.height / 2 - ((y - hello.height / 2 - view.y) * before.scale) / scale;

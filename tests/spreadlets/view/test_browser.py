@@ -232,6 +232,28 @@ def test_the_page_fits_and_can_be_read_in_any_size_and_scheme(page, scheme, widt
     assert abs(ground - text) > 150 and (ground > text) == (scheme == "light")
 
 
+def test_pixels_that_are_no_squares_are_shown_as_they_are(page):
+    page.evaluate("hello.aspect = 2")
+    scale, across = page.evaluate("[placement().scale, placement().across]")
+    width, height = page.evaluate("[canvas.width, canvas.height]")
+    assert across == 2 * scale == pytest.approx(min(2 * height / SHAPE[0], width / SHAPE[1]))
+    box = page.locator("#picture").bounding_box()
+    middle = {
+        "clientX": box["x"] + box["width"] / 2 + 10 * across,
+        "clientY": box["y"] + box["height"] / 2 - 10 * scale,
+    }
+    found = page.evaluate("(event) => pixelAt(event)", middle)
+    assert abs(found["x"] - SHAPE[1] / 2 - 10) <= 1 and abs(found["y"] - SHAPE[0] / 2 + 10) <= 1
+    # What lies under the pointer stays there while it zooms.
+    page.evaluate("view.zoom = 3; view.x = 5; view.y = 2")
+    page.mouse.move(middle["clientX"], middle["clientY"])
+    before = page.evaluate("(event) => pixelAt(event)", middle)
+    page.mouse.wheel(0, -200)
+    page.wait_for_function("view.zoom > 3")
+    after = page.evaluate("(event) => pixelAt(event)", middle)
+    assert abs(before["x"] - after["x"]) <= 1 and abs(before["y"] - after["y"]) <= 1
+
+
 def test_focus_on_the_sky_leaves_the_slider_of_use(page):
     before = float(page.get_attribute("#focus", "max"))
     page.evaluate("handlers.focus({ focus: 1e9, keep: false })")
