@@ -202,10 +202,6 @@ const canvas = $("picture");
 function placement() {
   const ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth * ratio, height = canvas.clientHeight * ratio;
-  if (canvas.width !== Math.round(width) || canvas.height !== Math.round(height)) {
-    canvas.width = Math.round(width);
-    canvas.height = Math.round(height);
-  }
   const whole = Math.min(width / (hello.width * hello.aspect), height / hello.height);
   const scale = view.zoom || whole, across = scale * hello.aspect;  // Of a pixel's height and width.
   return { scale, across, ratio, left: width / 2 - across * (hello.width / 2 + view.x), top: height / 2 - scale * (hello.height / 2 + view.y) };
@@ -219,7 +215,9 @@ function draw() {
 }
 
 function paint() {
-  const { scale, across, left, top } = placement();
+  const { scale, across, ratio, left, top } = placement();
+  const size = [canvas.clientWidth, canvas.clientHeight].map((each) => Math.round(each * ratio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;  // Which clears it.
   const context = canvas.getContext("2d", { alpha: false });
   const width = hello.width * across, height = hello.height * scale;
   context.fillStyle = getComputedStyle($("stage")).backgroundColor;
@@ -301,7 +299,7 @@ canvas.addEventListener("wheel", (event) => {
   view.zoom = scale;
   draw();
 }, { passive: false });
-addEventListener("resize", draw);
+new ResizeObserver(draw).observe(canvas);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 
 const wipeField = fieldOf($("wipe"));

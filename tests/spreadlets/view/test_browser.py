@@ -232,6 +232,16 @@ def test_the_page_fits_and_can_be_read_in_any_size_and_scheme(page, scheme, widt
     assert abs(ground - text) > 150 and (ground > text) == (scheme == "light")
 
 
+def test_the_picture_fits_and_stays_when_what_is_below_it_takes_more_lines(page):
+    before = page.evaluate("canvas.clientHeight")
+    page.evaluate("say('long '.repeat(200))")
+    page.wait_for_function(f"canvas.clientHeight < {before} && canvas.height === canvas.clientHeight")
+    page.evaluate("say('longer '.repeat(400)); pixelAt({ clientX: 9, clientY: 9 })")
+    middle = "[...canvas.getContext('2d').getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data]"
+    assert sum(page.evaluate(middle)[:3]) > 0
+    act(page, lambda: page.click("#reset"))
+
+
 def test_pixels_that_are_no_squares_are_shown_as_they_are(page):
     page.evaluate("hello.aspect = 2")
     scale, across = page.evaluate("[placement().scale, placement().across]")
