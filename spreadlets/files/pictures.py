@@ -135,7 +135,12 @@ def _opened(path: PathLike, read: Callable[[PathLike, Any], Any]) -> Any:
     except InvalidFileError:
         raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as a picture: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read as a picture: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be read, without its name."""
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _register_heif(path: PathLike) -> None:
@@ -227,7 +232,7 @@ def _read_numpy(path: PathLike) -> npt.NDArray[Any]:
     try:
         values = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as an array of NumPy: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read as an array of NumPy: {_reason(error)}") from error
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
         raise InvalidFileError(f"{path}: holds no array of numbers")
     return values
@@ -271,4 +276,4 @@ def _read_pfm(path: PathLike) -> npt.NDArray[Any]:
             raise ValueError("it is no portable float map of one channel, or truncated")
         return np.frombuffer(data, order, width * height).reshape(height, width)[::-1].astype(np.float32)
     except (OSError, ValueError) as error:
-        raise InvalidFileError(f"{path}: cannot be read: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read: {_reason(error)}") from error

@@ -87,6 +87,13 @@ def test_what_is_not_read_of_a_picture_is_named(tmp_path):
             read_picture(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a.png", "a.npy", "a.pfm"])
+def test_what_is_not_there_is_named_once(tmp_path, name):
+    with pytest.raises(InvalidFileError, match=rf"{name}: cannot be read.*: No such file or directory$") as refused:
+        read_plane(tmp_path / name)
+    assert str(refused.value).count(name) == 1
+
+
 def test_integers_that_are_no_codes_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", CODES.astype(np.int64))
     with pytest.raises(InvalidFileError, match="has dtype int64; a picture is of uint8, uint16, or linear floats"):
