@@ -55,13 +55,36 @@ def test_a_colour_profile_is_followed(tmp_path):
         read_picture(tmp_path / "b.png")
 
 
-def grey_profile():
-    """The smallest profile of linear grey (ICC.1:2001): a header, a white point, and a curve of no entries."""
+def profile(colours, connection, name, data):
+    """The smallest colour profile (ICC.1:2001): a header, a white point, and one table."""
     white = b"XYZ \0\0\0\0" + struct.pack(">3i", 0xF6D6, 0x10000, 0xD32D)
-    curve = b"curv" + bytes(8)
-    tags = struct.pack(">I4sII4sII", 2, b"wtpt", 156, len(white), b"kTRC", 156 + len(white), len(curve))
-    header = struct.pack(">I4xI4s4s4s12x4s28x", 156 + 32, 0x2100000, b"mntr", b"GRAY", b"XYZ ", b"acsp")
-    return header + struct.pack(">3i48x", 0xF6D6, 0x10000, 0xD32D) + tags + white + curve
+    tags = struct.pack(">I4sII4sII", 2, b"wtpt", 156, len(white), name, 156 + len(white), len(data))
+    size, kind = 156 + len(white) + len(data), b"mntr" if colours == b"GRAY" else b"prtr"
+    header = struct.pack(">I4xI4s4s4s12x4s28x", size, 0x2100000, kind, colours, connection, b"acsp")
+    return header + struct.pack(">3i48x", 0xF6D6, 0x10000, 0xD32D) + tags + white + data
+
+
+def grey_profile():
+    """Linear grey: a curve of no entries."""
+    return profile(b"GRAY", b"XYZ ", b"kTRC", b"curv" + bytes(8))
+
+
+def ink_profile():
+    """Inks whose lightness L* falls evenly with the black, and the others do nothing: a table of two places an axis."""
+    same, unit = bytes(range(256)), np.eye(3).ravel() * 0x10000
+    light = b"".join(bytes([0 if place % 2 else 255, 128, 128]) for place in range(16))
+    table = struct.pack(">4s4x4B9i", b"mft1", 4, 3, 2, 0, *map(int, unit)) + 4 * same + light + 3 * same
+    return profile(b"CMYK", b"Lab ", b"A2B0", table)
+
+
+def test_a_profile_of_inks_is_followed(tmp_path):
+    inks = np.zeros((4, 6, 4), np.uint8)
+    inks[:, 3:, 3] = 128
+    inks[2:, :, 0] = 255
+    Image.fromarray(inks, "CMYK").save(tmp_path / "a.tif", icc_profile=ink_profile())
+    shown = 255 * display_encode(read_picture(tmp_path / "a.tif").radiance)
+    np.testing.assert_allclose(shown[:, :3], 255, atol=2)
+    np.testing.assert_allclose(shown[:, 3:], 118, atol=3)  # L* of 50
 
 
 def test_a_profile_of_grey_is_followed(tmp_path):
