@@ -49,16 +49,16 @@ class Controls:
 
     def __post_init__(self) -> None:
         for name in ("near_strength", "far_strength"):
-            _check(name, getattr(self, name), "factors of 0 and more", 0.0 <= getattr(self, name) < math.inf)
+            check_value(name, getattr(self, name), "factors of 0 and more", 0.0 <= getattr(self, name) < math.inf)
         if self.in_focus is not None:
             near, far = _pair("in_focus", self.in_focus, "the nearest and the farthest depth that are sharp, metres")
-            _check("in_focus", self.in_focus, "depths 0 < NEAR <= FAR, metres", 0.0 < near <= far)
+            check_value("in_focus", self.in_focus, "depths 0 < NEAR <= FAR, metres", 0.0 < near <= far)
         if self.max_coc is not None:
-            _check("max_coc", self.max_coc, "radii of 0 px and more", 0.0 <= self.max_coc < math.inf)
+            check_value("max_coc", self.max_coc, "radii of 0 px and more", 0.0 <= self.max_coc < math.inf)
         if self.highlights is not None:
             gain, threshold = _pair("highlights", self.highlights, "a gain and a threshold")
             good = 0.0 <= gain < math.inf and 0.0 <= threshold < math.inf
-            _check("highlights", self.highlights, "a gain and a threshold of 0 and more", good)
+            check_value("highlights", self.highlights, "a gain and a threshold of 0 and more", good)
 
     @property
     def change_coc(self) -> bool:
@@ -106,6 +106,7 @@ def _pair(name: str, value: Any, what: str) -> tuple[float, float]:
     return value
 
 
-def _check(name: str, value: object, allowed: str, is_good: bool) -> None:
+def check_value(name: str, value: object, allowed: str, is_good: bool) -> None:
+    """Raise InvalidParameterError, naming the option as the caller spells it, if its value is not allowed."""
     if not is_good:
         raise InvalidParameterError(f"{option(name)} is {value!r}: allowed are {allowed}")

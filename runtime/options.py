@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, TypedDict
 
+import numpy as np
+
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError, option
-from spreadlets.runtime.controls import Controls
+from spreadlets.runtime.controls import Controls, check_value
 
 METHODS = ("spreadlets", "dense", "dense-rows", "gather")
 """Sparse Laplacian splatting; the same PSFs drawn in full, pixel by pixel or as differences along rows; filtering with
@@ -120,37 +122,38 @@ class Options(Controls):
         check_method(self.method, METHODS)
         # Method and solver.
         if self.integrator not in INTEGRATORS:
-            raise InvalidParameterError(
-                f"integrator {self.integrator!r} is unknown: allowed are {', '.join(INTEGRATORS)}"
-            )
-        if not 0.0 <= self.tolerance < 1.0:
-            raise InvalidParameterError(
-                f"tolerance is {self.tolerance}: allowed are 0 (off) to below 1 (the displayed range)"
-            )
+            known = ", ".join(INTEGRATORS)
+            raise InvalidParameterError(f"{option('integrator')} {self.integrator!r} is unknown: allowed are {known}")
+        check_value(
+            "tolerance", self.tolerance, "0 (off) to below 1 (the displayed range)", 0.0 <= self.tolerance < 1.0
+        )
         # Layers of depth.
-        if self.layers is not None and not 1 <= self.layers <= MAX_LAYERS:
-            raise InvalidParameterError(f"layers is {self.layers}: allowed are 1 to {MAX_LAYERS}")
-        if self.softness is not None and not 0.0 <= self.softness <= 1.0:
-            raise InvalidParameterError(f"softness is {self.softness}: allowed are 0 (hard layers) to 1 (soft)")
+        if self.layers is not None:
+            check_value("layers", self.layers, f"1 to {MAX_LAYERS}", self.layers in range(1, MAX_LAYERS + 1))
+        if self.softness is not None:
+            check_value("softness", self.softness, "0 (hard layers) to 1 (soft)", 0.0 <= self.softness <= 1.0)
         # What is done to the image.
-        if self.firefly_clamp is not None and not self.firefly_clamp >= 1.0:
-            raise InvalidParameterError(f"firefly_clamp is {self.firefly_clamp}: allowed are 1 and more, inf for off")
-        if self.denoise is not None and self.denoise not in DENOISERS:
-            raise InvalidParameterError(f"denoise is {self.denoise!r}: allowed are {', '.join(DENOISERS)}, or none")
+        if self.firefly_clamp is not None:
+            check_value("firefly_clamp", self.firefly_clamp, "1 and more, inf for off", self.firefly_clamp >= 1.0)
+        if self.denoise is not None:
+            check_value("denoise", self.denoise, f"{', '.join(DENOISERS)}, or none", self.denoise in DENOISERS)
         # Size, region and focus.
-        if not LEAST_PROXY <= self.proxy <= 1.0:
-            raise InvalidParameterError(f"{option('proxy')} is {self.proxy}: allowed are 1/64 to 1, the whole size")
-        if self.region is not None and not (len(self.region) == 4 and min(self.region[2:]) >= 1):
+        check_value("proxy", self.proxy, "1/64 to 1, the whole size", LEAST_PROXY <= self.proxy <= 1.0)
+        whole = self.region is None or all(isinstance(each, int | np.integer) for each in self.region)
+        if self.region is not None and not (whole and len(self.region) == 4 and min(self.region[2:]) >= 1):
             raise InvalidParameterError(
-                f"{option('region')} is {self.region}: needed are x, y, width and height, the last two at least 1"
+                f"{option('region')} is {self.region}: needed are x, y, width and height in whole px, the last two at "
+                "least 1"
             )
         if self.focus_at is not None and not (len(self.focus_at) == 2 and all(map(math.isfinite, self.focus_at))):
             raise InvalidParameterError(f"{option('focus_at')} is {self.focus_at}: needed are x and y in px")
 
     @classmethod
     def of(cls, **given: Any) -> Options:
-        """Return options of which some are given; None stands for the default."""
-        return cls(**{name: value for name, value in given.items() if value is not None})
+        """Return options of which some are given; None stands for the default, and pairs may come as lists."""
+        chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        pairs = {name: tuple(value) for name, value in chosen.items() if isinstance(value, list)}
+        return cls(**chosen | pairs)
 
     @property
     def draws_in_full(self) -> bool:
@@ -191,7 +194,7 @@ RENDER_OPTIONS = tuple(field.name for field in fields(Options))
 def check_method(method: str, allowed: Sequence[str]) -> None:
     """Raise InvalidParameterError if a method is not one of those that are allowed."""
     if method not in allowed:
-        raise InvalidParameterError(f"method {method!r} is unknown: allowed are {', '.join(allowed)}")
+        raise InvalidParameterError(f"{option('method')} {method!r} is unknown: allowed are {', '.join(allowed)}")
 
 
 def check_for_samples(options: Mapping[str, Any]) -> None:

@@ -481,10 +481,11 @@ def _filtered(
 ) -> Image:
     """Filter each layer of a frame with the PSFs of the receiving pixels, and composite.
 
-    A filter has one PSF for each pixel: that of its own surface, at mid-shutter, along a straight path.
+    A filter has one PSF for each pixel: that of its own surface, at mid-shutter, along a straight path, with a shutter
+    that is open evenly.
     """
     label = partial(frame_pixels, defocus=options.defocus, motion=options.motion, controls=options, split=undivided)
-    middle = camera.at(camera.shutter_centre)
+    middle = replace(camera.at(camera.shutter_centre), shutter_curve=None)
     image = np.zeros((*given[0].shape, 4), np.float32)
     for layer in given:
         with clock.step("plan"):

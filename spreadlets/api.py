@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 from spreadlets.arrays import Image
-from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError
+from spreadlets.errors import AmbiguousInputWarning, InvalidParameterError, option
 from spreadlets.full_psfs import DensePsfs as DensePsfs
 from spreadlets.full_psfs import full_psfs
 from spreadlets.models import Model, option_names
@@ -317,7 +317,7 @@ def _without_splatting(
     }
     for name in SPLATTING_OPTIONS:
         if name in changed:
-            raise InvalidParameterError(f"{name} is no option of method {method!r}")
+            raise InvalidParameterError(f"{option(name)} is no option of method {method!r}")
     # Reconstruct as others have published it.
     if method in PUBLISHED_METHODS:
         from spreadlets.runtime.sheared import reconstruct as layered
@@ -328,7 +328,7 @@ def _without_splatting(
         return layered.reconstruct(samples, camera, made, **changed, clock=clock, progress=progress)
     # Or average the samples of each pixel, and denoise if that was asked for.
     for name in changed:
-        raise InvalidParameterError(f"{name} is no option of method {method!r}, which takes the image as it is")
+        raise InvalidParameterError(f"{option(name)} is no option of method {method!r}, which takes the image as it is")
     from spreadlets.runtime.clock import Clock
     from spreadlets.runtime.finish.average import average
 

@@ -223,12 +223,13 @@ class Renderer:
         Returns
         -------
         ndarray of shape (H, W), float32
-            Pixels of the whole frame, negative in front of the focus.
+            Pixels of the whole frame, negative in front of the focus; of a lens that changes, in mid-exposure.
         """
         from spreadlets.runtime.options import Options
 
         chosen = Options.of(**options)
         camera = self._focused(camera, chosen)
+        camera = camera.at(camera.shutter_centre)
         depth = self._cut(self._seen_depth(chosen.proxy), chosen)
         width = self.frame.raster.display.width
         radius = np.asarray(camera.coc_radius(depth, width), np.float32)
@@ -366,9 +367,7 @@ class Renderer:
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
         if options.focus_at is None:
             return camera
-        still = [replace(key, focus_distance_m=None) for key in camera.keys]
-        keys = tuple(key for key in still if (key.focal_length_mm, key.f_number) != (None, None))
-        return replace(camera, focus_distance_m=self.depth_at(*options.focus_at), keys=keys)
+        return camera.held(focus_distance_m=self.depth_at(*options.focus_at))
 
     def _open(self, moving: bool) -> Database:
         """Return the database, opened if it is not."""

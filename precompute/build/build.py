@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from spreadlets.errors import BuildStoppedError, InvalidParameterError, WorkerLostError
+from spreadlets.errors import BuildStoppedError, InvalidParameterError, WorkerLostError, option
 from spreadlets.precompute.build.between_cells import FindSpreadlet, between_cells
 from spreadlets.precompute.build.extension import Kept, check_extension, extended_grid
 from spreadlets.precompute.build.parts import LOG_NAME, Parts, open_parts
@@ -160,15 +160,15 @@ def _finder(tasks: list[CellTask], parts: Parts, kept: Kept) -> FindSpreadlet:
 
 def _check_arguments(samples: int | None, density: float | None, rays: int | None, jobs: int | None, seed: int) -> None:
     if samples is not None and not 1 <= samples <= MAX_SAMPLES:
-        raise InvalidParameterError(f"samples is {samples}: allowed are 1 to {MAX_SAMPLES} cells")
+        raise InvalidParameterError(f"{option('samples')} is {samples}: allowed are 1 to {MAX_SAMPLES} cells")
     if density not in (None, 0.5, 1.0, 2.0):
-        raise InvalidParameterError(f"density is {density}: allowed are 0.5, 1 and 2")
+        raise InvalidParameterError(f"{option('density')} is {density}: allowed are 0.5, 1 and 2")
     if rays is not None and rays < 1:
-        raise InvalidParameterError(f"rays is {rays}: at least one is needed")
+        raise InvalidParameterError(f"{option('rays')} is {rays}: at least one is needed")
     if jobs is not None and jobs < 1:
-        raise InvalidParameterError(f"jobs is {jobs}: at least one process is needed")
+        raise InvalidParameterError(f"{option('jobs')} is {jobs}: at least one process is needed")
     if seed < 0:
-        raise InvalidParameterError(f"seed is {seed}: it must not be negative")
+        raise InvalidParameterError(f"{option('seed')} is {seed}: it must not be negative")
 
 
 def build_grid(model: str, path: str | os.PathLike[str], extend: bool, **options: Any) -> PsfGrid:

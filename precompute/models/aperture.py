@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from spreadlets.arrays import DoubleArray
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.precompute.trace.line_sample import (
     RAYS_PER_PIXEL,
     Segments,
@@ -110,7 +110,7 @@ class Aperture:
             "cats_eye_angle": (math.isfinite(self.cats_eye_angle), "finite degrees"),
             "cats_eye_radial": (
                 not self.cats_eye_radial or (self.cats_eye > 0.0 and not self.cats_eye_angle),
-                "True with a cats_eye above 0 and without a cats_eye_angle",
+                f"True with a {option('cats_eye')} above 0 and without a {option('cats_eye_angle')}",
             ),
             "squeeze": (MIN_SQUEEZE <= self.squeeze <= 1.0, f"{MIN_SQUEEZE} to 1"),
             "spherical_aberration": (
@@ -121,7 +121,7 @@ class Aperture:
         }
         for name, (is_good, text) in allowed.items():
             if not is_good:
-                raise InvalidParameterError(f"{name} is {getattr(self, name)}: allowed are {text}")
+                raise InvalidParameterError(f"{option(name)} is {getattr(self, name)}: allowed are {text}")
         # Check that all of them together leave a part of the pupil open.
         u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
         if not (self.clearance(u, v) > 0.0).any():

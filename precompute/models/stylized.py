@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from spreadlets.arrays import DoubleArray
-from spreadlets.errors import InvalidFileError, InvalidParameterError
+from spreadlets.errors import InvalidFileError, InvalidParameterError, option
 from spreadlets.precompute.trace.line_sample import Segments, Tracer, polylines, tent, unchanged
 from spreadlets.psf.model import PsfModel
 
@@ -66,7 +66,8 @@ def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> di
         raise InvalidParameterError("the model 'stylized' needs an image as its PSF: give one with --image")
     if not abs(colour_offset) <= MAX_COLOUR_OFFSET:
         raise InvalidParameterError(
-            f"colour_offset is {colour_offset}: allowed are -{MAX_COLOUR_OFFSET} to {MAX_COLOUR_OFFSET} of the radius"
+            f"{option('colour_offset')} is {colour_offset}: allowed are "
+            f"-{MAX_COLOUR_OFFSET} to {MAX_COLOUR_OFFSET} of the radius"
         )
     return {"image": encode(_read_light(image)), "colour_offset": float(colour_offset)}
 

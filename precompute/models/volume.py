@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spreadlets.arrays import DoubleArray
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.parallel import for_blocks
 from spreadlets.precompute.models._volume_kernels import walk
 from spreadlets.precompute.trace.line_sample import Painter, tent
@@ -137,11 +137,15 @@ def read_settings(
     }
     for name, value in lengths.items():
         if not (math.isfinite(value) and value > 0):
-            raise InvalidParameterError(f"{name} is {value}: it must be finite and > 0")
+            raise InvalidParameterError(f"{option(name)} is {value}: it must be finite and > 0")
     if not abs(anisotropy) < 1.0:
-        raise InvalidParameterError(f"anisotropy is {anisotropy}: allowed are numbers between -1 and 1, not these")
+        raise InvalidParameterError(
+            f"{option('anisotropy')} is {anisotropy}: allowed are numbers between -1 and 1, not these"
+        )
     if len(albedo) != 3 or not all(0.0 <= a <= 1.0 for a in albedo) or max(albedo) == 0.0:
-        raise InvalidParameterError(f"albedo is {tuple(albedo)}: three numbers from 0 to 1 are needed, not all 0")
+        raise InvalidParameterError(
+            f"{option('albedo')} is {tuple(albedo)}: three numbers from 0 to 1 are needed, not all 0"
+        )
     # Express the view by the focal length in px.
     medium = Medium(float(medium_density), float(anisotropy), tuple(map(float, albedo)))
     widths = camera.focal_length_mm / camera.sensor_width_mm if camera else DEFAULT_FOCAL_LENGTHS

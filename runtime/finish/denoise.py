@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
+from spreadlets.errors import InvalidParameterError
 from spreadlets.packages import optional_package
 from spreadlets.runtime.report import Report
 
@@ -24,6 +25,10 @@ OUTLIERS = 5.0
 otherwise. On a part of a rendered frame with 4 samples in each pixel, 1 gave 22 dB and 5 gave 28 dB."""
 LEAST_SIGMA = 1e-3
 """Least standard deviation of the noise that BM3D is told, on log(1 + radiance): it divides by it."""
+LEAST_SIDE = 8
+"""Side, px, of the blocks of BM3D: it takes no smaller image."""
+OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]], np.float32).T
+"""From RGB to the colours in which BM3D compares blocks, but for their scale."""
 
 
 def noise_deviation(image: npt.NDArray[np.floating]) -> float:
@@ -40,8 +45,20 @@ def noise_deviation(image: npt.NDArray[np.floating]) -> float:
 def _bm3d(colour: Image) -> npt.NDArray[np.floating]:
     """Denoise linear colours (H, W, 3) with package bm3d, on log(1 + radiance)."""
     package = optional_package("bm3d", "bench", "method 'bm3d'")
+    if min(colour.shape[:2]) < LEAST_SIDE:
+        raise InvalidParameterError(
+            f"method 'bm3d' is for {LEAST_SIDE} x {LEAST_SIDE} px and more: the image has {colour.shape[1]} x "
+            f"{colour.shape[0]}"
+        )
     shown = np.log1p(np.maximum(colour, 0))
-    return np.asarray(np.expm1(package.bm3d_rgb(shown, max(OUTLIERS * noise_deviation(shown), LEAST_SIGMA))))
+    sigma = max(OUTLIERS * noise_deviation(shown), LEAST_SIGMA)
+    if np.ptp(shown @ OPPONENTS, axis=(0, 1)).min() > 0.0:
+        found = package.bm3d_rgb(shown, sigma)
+    else:
+        # It divides by the range of each opponent colour; grey has one.
+        channels = [package.bm3d(each, sigma) if np.ptp(each) > 0.0 else each for each in np.moveaxis(shown, 2, 0)]
+        found = np.stack(channels, axis=2)
+    return np.asarray(np.maximum(np.expm1(found), 0.0))
 
 
 def _oidn(colour: Image) -> npt.NDArray[np.floating]:

@@ -94,6 +94,9 @@ SPELLED = {
     "focal_length_mm": "--focal-length",
     "sensor_width_mm": "--sensor-width",
     "focus_distance_m": "--focus",
+    "defocus": "--no-defocus",
+    "motion": "--no-motion",
+    "calibrate": "--no-calibrate",
 }
 """Options that are not called after the parameter that they set."""
 

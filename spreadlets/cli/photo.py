@@ -98,7 +98,8 @@ def photo(
     # Read the picture and its depth.
     clock = Clock()
     with clock.step("read"):
-        picture, values = read_picture(image, input_space), read_plane(depth)
+        picture = read_picture(image, input_space)
+        values = read_plane(depth, in_metres=options["depth_kind"] == "metric")
         held = None if mask is None else read_plane(mask)
     # Blur and write it.
     with compiled_ahead("synthesize"), progress_bar("building", quiet=as_json) as progress:
@@ -106,7 +107,7 @@ def photo(
             picture.radiance,
             values,
             f_number=f_number,
-            focal_length=focal_length or picture.focal_length_35mm,
+            focal_length=picture.focal_length_35mm if focal_length is None and f_number is not None else focal_length,
             mask=held,
             database=bokeh_model(moving=False, **shape) if shape else None,
             progress=progress,

@@ -44,16 +44,20 @@ def view(
     from spreadlets.ahead import compiled_ahead
     from spreadlets.files import exr_frames as exr
     from spreadlets.files.cameras import camera_of
+    from spreadlets.files.exr_file import opened
     from spreadlets.files.recognise import ReadOptions
+    from spreadlets.jobs.databases import kept_database
     from spreadlets.view.session import Scene, Studio
 
     reading = take_reading(options)
-    lens = camera_of(camera, take_camera(options), frames[0], reading.get("depth_scale", 1.0))
-    chosen = ReadOptions(**reading, camera=lens)
-    frame = exr.read_frame(list(frames), options=chosen)
+    with opened(frames) as files:
+        lens = camera_of(camera, take_camera(options), files[0], reading.get("depth_scale", 1.0))
+        chosen = ReadOptions(**reading, camera=lens)
+        frame = exr.read_frame(files, options=chosen)
     lens = lens.fitted(frame.raster.display.shape, frame.raster.pixel_aspect)
     truth = exr.read_reference(reference, chosen) if reference else None
-    studio = Studio(Scene(frame, lens, database, truth, frames, camera))
+    scene = Scene(frame, lens, None if database is None else kept_database(database), truth, frames, camera)
+    studio = Studio(scene)
     with compiled_ahead("synthesize"):
         studio.begin()
         try:

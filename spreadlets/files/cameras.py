@@ -115,7 +115,7 @@ def read_camera(
     ------
     InvalidCameraError
         If the file is missing, too large, malformed, lacks a value, or describes an impossible camera; the message
-        starts with the path.
+        starts with the path, or with the single value that is at fault.
     MissingPackageError
         If a USD file is given and the package is missing.
 
@@ -139,9 +139,9 @@ def read_camera(
     given: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
     if isinstance(given.get("shutter"), str):
         given["shutter"] = parse_shutter(given["shutter"])
-    if path is None:
-        return _camera(given, "the camera", HALF_A_FRAME)
     try:
+        if path is None:
+            return _camera(given, "the camera", HALF_A_FRAME)
         found, defaults = _values_in_file(path, given, time_code)
         if "keys" in found:
             # What is given holds at all times.
@@ -149,8 +149,15 @@ def read_camera(
             found["keys"] = tuple(replace(key, **unkeyed) for key in found["keys"])
         return _camera(found | given, "", defaults)
     except (InvalidCameraError, InvalidFileError) as error:
-        text = str(error)
-        raise InvalidCameraError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
+        raise InvalidCameraError(_blamed(str(error), path, given)) from None
+
+
+def _blamed(text: str, path: PathLike | None, given: Mapping[str, Any]) -> str:
+    """Return an error's text with what is at fault in front: a single value, as the caller spells it, or the file."""
+    name = text.partition(" ")[0]
+    if name in given:
+        return option(name) + text.removeprefix(name)
+    return text if path is None or text.startswith(f"{path}:") else f"{path}: {text}"
 
 
 def frame_camera(path: Source, scene_scale: float = 1.0) -> dict[str, Any]:

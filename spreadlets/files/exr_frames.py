@@ -21,6 +21,7 @@ import OpenEXR
 from spreadlets.arrays import FloatArray, PathLike
 from spreadlets.errors import AmbiguousInputWarning, InvalidFileError, InvalidFrameError, InvalidParameterError, option
 from spreadlets.files.atomic import atomic_path
+from spreadlets.files.attributes import carry_attributes
 from spreadlets.files.conventions import (
     MOTION_CONVENTIONS,
     OWN,
@@ -49,6 +50,7 @@ from spreadlets.files.exr_parts import (
     gather,
     merged,
     part_header,
+    raster_header,
     window,
 )
 from spreadlets.files.luminance import with_rgb
@@ -234,7 +236,7 @@ def write_frame(
     frame : Frame
         Stored as 32-bit floats R, G, B, A, Z, and motion.x, motion.y (px per frame, y down, forward) where the frame
         has motion, with motion_prev and motion_next for a curved path, and depth_prev and depth_next where it moves in
-        depth; several layers as parts layer0, layer1, ...
+        depth; several layers as parts layer0, layer1, ... With the windows, pixel aspect and attributes of its raster.
     preset : str, optional
         Store one layer as this renderer does, a key of `conventions.PRESETS`, with the first depth and motion
         convention of its row.
@@ -265,12 +267,14 @@ def write_frame(
         raise InvalidFrameError(f"the preset {preset} holds one layer, the frame has {len(frame.layers)}")
     row = OWN if preset is None else PRESETS[preset]
     scale = Scale(camera, depth_scale, baseline_m, max_displacement)
+    header = part_header() | raster_header(frame.raster, frame.raster.data)
     parts = [
-        OpenEXR.Part({**part_header(), "name": f"layer{index}"}, _stored_channels(layer, row, scale, unpremultiplied))
+        OpenEXR.Part(header | {"name": f"layer{index}"}, _stored_channels(layer, row, scale, unpremultiplied))
         for index, layer in enumerate(frame.layers)
     ]
     with atomic_path(path, ".exr") as temporary, library_messages():
         OpenEXR.File(parts).write(str(temporary))
+        carry_attributes(temporary, [frame.raster.attributes] * len(parts))
 
 
 # --- Reading -------------------------------------------------------------------------------------------------------

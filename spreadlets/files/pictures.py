@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import PurePath
@@ -28,6 +29,14 @@ EXIF, FOCAL_LENGTH, FOCAL_LENGTH_35MM, F_NUMBER = 0x8769, 0x920A, 0xA405, 0x829D
 
 PLANE_NAMES = ("Z", "depth.Z", "depth", "disparity", "Y", "A", "R", "V")
 """Channels of an OpenEXR file that may hold a plane, the likeliest first."""
+
+
+PROFILED = {"GRAY": ("L", ("L", "LA")), "CMYK": ("CMYK", ("CMYK",))}
+"""Colours of a profile other than RGB: the mode that it is applied to, and those of pictures that have it."""
+
+
+OPAQUE = 255
+"""Alpha of 8 bits that lets nothing through."""
 
 
 class Picture(NamedTuple):
@@ -80,7 +89,7 @@ def read_picture(path: PathLike, space: str | None = None) -> Picture:
     return found if space is None else found._replace(radiance=to_linear(found.radiance, space))
 
 
-def read_plane(path: PathLike) -> FloatArray:
+def read_plane(path: PathLike, *, in_metres: bool = False) -> FloatArray:
     """Read one value for each pixel: a depth, a disparity, or a mask.
 
     Parameters
@@ -88,6 +97,8 @@ def read_plane(path: PathLike) -> FloatArray:
     path : path
         ``.npy``, OpenEXR, PFM, or a grey picture: PNG of 8 or 16 bits, TIFF of integers or floats. Integers of a
         picture are divided by their largest value; colours are averaged.
+    in_metres : bool
+        Whether the values are to have a unit: then pictures of integers are refused.
 
     Returns
     -------
@@ -104,7 +115,7 @@ def read_plane(path: PathLike) -> FloatArray:
         ".exr": _exr_plane,
         ".pfm": _read_pfm,
     }
-    values = readers[extension](path) if extension in readers else _opened(path, _grey)
+    values = readers[extension](path) if extension in readers else _opened(path, partial(_grey, in_metres=in_metres))
     if values.ndim != 2 or not values.size:
         raise InvalidFileError(f"{path}: has the shape {values.shape}; needed is one value for each pixel, (H, W)")
     return np.ascontiguousarray(values, np.float32)
@@ -124,7 +135,12 @@ def _opened(path: PathLike, read: Callable[[PathLike, Any], Any]) -> Any:
     except InvalidFileError:
         raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as a picture: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read as a picture: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be read, without its name."""
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _register_heif(path: PathLike) -> None:
@@ -138,6 +154,7 @@ def _photograph(path: PathLike, image: Any, *, as_stored: bool) -> Picture:
     """Return an open picture, upright: as linear light, or the values that are stored, as shares of the largest."""
     from PIL import ImageOps
 
+    _warn_of_loss(path, image)
     focal_length, f_number = _lens(image)
     profile = image.info.get("icc_profile")
     image = ImageOps.exif_transpose(image)
@@ -146,19 +163,28 @@ def _photograph(path: PathLike, image: Any, *, as_stored: bool) -> Picture:
         grey = _unit(np.asarray(image))
         encoded = np.repeat(grey[..., None], 3, axis=2)
     else:
-        colours = image.convert("RGB")
-        encoded = np.asarray(colours if as_stored else _in_srgb(path, colours, profile))
+        encoded = np.asarray(image.convert("RGB") if as_stored else _in_srgb(path, image, profile))
     return Picture(_unit(encoded) if as_stored else display_decode(encoded), focal_length, f_number)
+
+
+def _warn_of_loss(path: PathLike, image: Any) -> None:
+    """Warn of what a picture holds that is not read of it."""
+    if image.mode in ("RGB", "RGBA") and any(";16" in str(tile[-1]) for tile in image.tile):
+        warnings.warn(f"{path}: of its 16 bits only 8 are read; OpenEXR and NPY are read in full", stacklevel=2)
+    if image.has_transparency_data and image.convert("RGBA").getextrema()[3][0] < OPAQUE:
+        warnings.warn(f"{path}: its alpha is left out: photographs are opaque", stacklevel=2)
 
 
 def _in_srgb(path: PathLike, image: Any, profile: bytes | None) -> Any:
     """Return a picture whose colours are those of sRGB, from those of its profile."""
     if not profile:
-        return image
+        return image.convert("RGB")
     from PIL import ImageCms
 
     try:
         own = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        mode, modes = PROFILED.get(own.profile.xcolor_space.strip(), ("RGB", ()))
+        image = image.convert(mode if image.mode in modes else "RGB")
         return ImageCms.profileToProfile(image, own, ImageCms.createProfile("sRGB"), outputMode="RGB")
     except (OSError, ImageCms.PyCMSError) as error:
         raise InvalidFileError(f"{path}: its colour profile cannot be used: {error}") from error
@@ -178,11 +204,13 @@ def _lens(image: Any) -> tuple[float | None, float | None]:
     return number(FOCAL_LENGTH_35MM), number(F_NUMBER)
 
 
-def _grey(path: PathLike, image: Any) -> FloatArray:
+def _grey(path: PathLike, image: Any, *, in_metres: bool) -> FloatArray:
     """Return an open picture as one value for each pixel, upright."""
     from PIL import ImageOps
 
     values = np.asarray(ImageOps.exif_transpose(image))
+    if in_metres and values.dtype.kind != "f":
+        raise InvalidFileError(f"{path}: its integers have no unit; give metres as floats: NPY, TIFF, PFM or OpenEXR")
     if image.mode in ("P", "1", "CMYK", "YCbCr", "LAB", "HSV"):
         values = np.asarray(image.convert("L"))
     if values.ndim == 3:
@@ -204,7 +232,7 @@ def _read_numpy(path: PathLike) -> npt.NDArray[Any]:
     try:
         values = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise InvalidFileError(f"{path}: cannot be read as an array of NumPy: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read as an array of NumPy: {_reason(error)}") from error
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
         raise InvalidFileError(f"{path}: holds no array of numbers")
     return values
@@ -214,6 +242,8 @@ def _colours(path: PathLike, values: npt.NDArray[Any], *, as_stored: bool) -> Fl
     """Return an array as linear light: integers are sRGB, floats are linear; or the values that are stored."""
     if values.ndim != 3 or values.shape[2] not in (3, 4):
         raise InvalidFileError(f"{path}: has the shape {values.shape}; a picture is (H, W, 3)")
+    if values.dtype.kind != "f" and values.dtype not in (np.uint8, np.uint16):
+        raise InvalidFileError(f"{path}: has dtype {values.dtype}; a picture is of uint8, uint16, or linear floats")
     colours = values[..., :3]
     return _unit(colours) if as_stored or values.dtype.kind == "f" else display_decode(_unit(colours))
 
@@ -246,4 +276,4 @@ def _read_pfm(path: PathLike) -> npt.NDArray[Any]:
             raise ValueError("it is no portable float map of one channel, or truncated")
         return np.frombuffer(data, order, width * height).reshape(height, width)[::-1].astype(np.float32)
     except (OSError, ValueError) as error:
-        raise InvalidFileError(f"{path}: cannot be read: {error}") from error
+        raise InvalidFileError(f"{path}: cannot be read: {_reason(error)}") from error

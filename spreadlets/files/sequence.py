@@ -13,7 +13,7 @@ from fileseq.filesequence import FileSequence
 from fileseq.frameset import FrameSet
 from fileseq.utils import pad
 
-from spreadlets.errors import InvalidFileError, InvalidParameterError
+from spreadlets.errors import InvalidFileError, InvalidParameterError, option
 
 COUNTER = re.compile(r"#+|@+|%(?:0\d+)?d|\$F\d*")
 """What stands for the frame's number: one ``#`` or ``@`` for each digit, or as in C or in Houdini."""
@@ -99,7 +99,7 @@ def parse_frames(text: str) -> list[int]:
     except ParseException:
         frames = FrameSet("")
     if not len(frames) or any(number != int(number) for number in frames):
-        raise InvalidParameterError(f"frames is {text!r}; it must be like 1-24, 1-24x2 or 1,5,9-12")
+        raise InvalidParameterError(f"{option('frames')} is {text!r}; it must be like 1-24, 1-24x2 or 1,5,9-12")
     if len(frames) > MAX_FRAMES:
         raise InvalidParameterError(f"frames names more than {MAX_FRAMES} frames")
     return sorted(int(number) for number in frames)

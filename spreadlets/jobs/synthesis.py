@@ -170,7 +170,7 @@ class Synthesis(Job):
         with clock.step("write"):
             write_image(self.output, image, bit_depth=self.bit_depth, raster=raster, channels=further)
             if self.output_coc is not None and coc is not None:
-                write_plane(self.output_coc, "coc", coc, raster=renderer.raster(region=rendering.get("region")))
+                write_plane(self.output_coc, "coc", coc, raster=raster)
         return report.to_dict() | {"time_s": clock.times()} | figures
 
     def _read(self) -> _Given:

@@ -59,10 +59,12 @@ def inverse_depth(values: FloatArray, kind: DepthKind, shape: tuple[int, int]) -
     InvalidParameterError
         If there is no such kind.
     InvalidFrameError
-        If the map's proportions are not the image's, or it has not two depths.
+        If the map is no plane, its proportions are not the image's, or it has not two depths.
     """
     if kind not in get_args(DepthKind):
         raise InvalidParameterError(f"{option('depth_kind')} is {kind!r}: allowed are {', '.join(get_args(DepthKind))}")
+    if values.ndim != 2 or not values.size:
+        raise InvalidFrameError(f"depth has shape {values.shape}; it must be (h, w)")
     ratio = (values.shape[0] / values.shape[1]) / (shape[0] / shape[1])
     if abs(ratio - 1.0) > ASPECT_TOLERANCE:
         raise InvalidFrameError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray
 from spreadlets.bokeh import Progress
-from spreadlets.errors import InvalidParameterError, option
+from spreadlets.errors import InvalidFrameError, InvalidParameterError, option
 from spreadlets.photograph.depth_map import DepthKind, inverse_depth, refined
 from spreadlets.photograph.grain import grain_of, grained
 from spreadlets.psf.database import Database
@@ -61,7 +62,7 @@ def photo(
     blur : float, optional
         Radius of the blur at the far end, px, or at the near end if that is farther from the focus; 25 by default.
     f_number : float, optional
-        Instead of `blur`, for depths in metres: that of a full-frame camera.
+        In place of `blur`, for depths in metres: that of a full-frame camera.
     focal_length : float, optional
         With `f_number`: for a film 36 mm wide, mm; 50 by default.
     depth_kind : {"inverse", "metric", "disparity"}
@@ -90,7 +91,8 @@ def photo(
     InvalidFrameError
         If an array has a wrong shape or values.
     InvalidParameterError
-        If a parameter is out of its range, or an f-number is given for depths of unknown scale.
+        If a parameter is out of its range, an f-number is given beside `blur` or for depths of unknown scale, or a
+        focal length without an f-number.
 
     Examples
     --------
@@ -104,6 +106,7 @@ def photo(
     >>> bool(image[:10].std() < 0.5 * rgb[:10].std())  # what lies behind is blurred
     True
     """
+    _check_lens(blur, f_number, focal_length)
     codes, clock = np.asarray(rgb), clock or Clock()
     with clock.step("plan"):
         linear = _linear(codes)
@@ -117,8 +120,8 @@ def photo(
                 f"give {option('blur')}"
             )
         else:
-            lens = focal_length or FOCAL_LENGTH_MM, SENSOR_MM, f_number
-            camera = ThinLens(*lens, 1.0 / _focus(depths, focus), sensor_fit="auto")
+            lens = FOCAL_LENGTH_MM if focal_length is None else focal_length, SENSOR_MM, f_number
+            camera = ThinLens(*lens, _distance(_focus(depths, focus)), sensor_fit="auto")
         deviation = grain_of(encoded) if grain and encoded is not None else None
         with np.errstate(divide="ignore"):
             frame = Frame(linear, np.float32(1.0) / depths)
@@ -157,11 +160,29 @@ def blurring_camera(inverse: FloatArray, focus: float, blur: float) -> ThinLens:
         raise InvalidParameterError(f"{option('blur')} is {blur:g}: needed is a radius above 0 px")
     scale = blur / max(focus - float(inverse.min()), float(inverse.max()) - focus)
     focal_length_px = FOCAL_LENGTH_MM / SENSOR_MM * inverse.shape[1]
-    return ThinLens(FOCAL_LENGTH_MM, SENSOR_MM, 0.5 * FOCAL_LENGTH_MM / 1000.0 * focal_length_px / scale, 1.0 / focus)
+    f_number = 0.5 * FOCAL_LENGTH_MM / 1000.0 * focal_length_px / scale
+    return ThinLens(FOCAL_LENGTH_MM, SENSOR_MM, f_number, _distance(focus))
+
+
+def _distance(inverse: float) -> float:
+    """Return the distance, m, of an inverse depth, 1/m; the sky's is infinite."""
+    return 1.0 / inverse if inverse > 0.0 else np.inf
+
+
+def _check_lens(blur: float | None, f_number: float | None, focal_length: float | None) -> None:
+    """Raise InvalidParameterError if what is given of the lens does not go together."""
+    if blur is not None and f_number is not None:
+        raise InvalidParameterError(f"{option('blur')} and {option('f_number')} exclude each other: give one of them")
+    if focal_length is not None and f_number is None:
+        raise InvalidParameterError(f"{option('focal_length')} is for {option('f_number')}: give it, too")
 
 
 def _linear(codes: npt.NDArray[Any]) -> FloatArray:
     """Return a photograph as linear light."""
+    if codes.dtype.kind in "iu" and not _is_encoded(codes.dtype):
+        raise InvalidFrameError(
+            f"rgb has dtype {codes.dtype}; it must hold uint8 or uint16 in sRGB encoding, or linear floats"
+        )
     linear = display_decode(codes) if _is_encoded(codes.dtype) else codes
     return np.ascontiguousarray(image_array("rgb", linear)[..., :3])
 
@@ -189,12 +210,12 @@ def _focus(inverse: FloatArray, focus: Sequence[float]) -> float:
     from spreadlets.scene.raster import Raster
 
     height, width = inverse.shape
+    if np.shape(focus) not in ((2,), (4,)):
+        raise InvalidParameterError(f"{option('focus')} is {focus!r}: needed are x,y or left,top,right,bottom")
     with np.errstate(divide="ignore"):
         if len(focus) == 2:
             return float(1.0 / depth_at(1.0 / inverse, Raster.of_shape((height, width)), *focus))
-    if len(focus) != 4:
-        raise InvalidParameterError(f"{option('focus')} is {tuple(focus)}: needed are x,y or left,top,right,bottom")
-    left, top, right, bottom = (round(each) for each in focus)
+    left, top, right, bottom = (round(each) if math.isfinite(each) else -1 for each in focus)
     if not (0 <= left < right <= width and 0 <= top < bottom <= height):
         raise InvalidParameterError(
             f"{option('focus')} is {tuple(focus)}: the box must lie within {width} x {height} px"

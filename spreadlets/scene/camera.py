@@ -176,6 +176,26 @@ class ThinLens:
         values: dict[str, Any] = {name: self.value_at(name, time) for name in KEYED}
         return replace(self, keys=(), camera_to_world=self.pose_at(time), **values)
 
+    def held(self, **values: float) -> ThinLens:
+        """Return the camera with values that hold all the time, whatever its keys say of them.
+
+        Parameters
+        ----------
+        **values
+            ``focal_length_mm``, ``f_number`` or ``focus_distance_m``.
+
+        Examples
+        --------
+        >>> keys = sp.LensKey(0, focus_distance_m=3), sp.LensKey(1, focus_distance_m=5, f_number=4)
+        >>> held = sp.ThinLens(50, 36, 2, 3, keys=keys).held(focus_distance_m=7)
+        >>> held.at(1).focus_distance_m, held.at(1).f_number
+        (7, 4.0)
+        """
+        unkeyed: dict[str, Any] = dict.fromkeys(values)
+        keys = [replace(key, **unkeyed) for key in self.keys]
+        changed: dict[str, Any] = dict(values)
+        return replace(self, keys=tuple(key for key in keys if key != LensKey(key.time)), **changed)
+
     def value_at(self, name: str, time: float) -> float:
         """Return a keyed value at a time; it changes evenly between keys."""
         given = sorted((key.time, float(getattr(key, name))) for key in self.keys if getattr(key, name) is not None)

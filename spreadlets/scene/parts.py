@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -101,7 +102,7 @@ def _row_means(values: FloatArray, after: int) -> FloatArray:
 
 
 def checked_mask(mask: FloatArray, frame: Frame) -> FloatArray:
-    """Return a mask (H, W) as float32 in [0, 1].
+    """Return a mask (H, W), of numbers in [0, 1] or booleans, as float32.
 
     Raises
     ------
@@ -114,7 +115,8 @@ def checked_mask(mask: FloatArray, frame: Frame) -> FloatArray:
         raise InvalidParameterError(
             f"{option('mask')} is for frames of one layer, this one has {len(frame.layers)}: leave what stays sharp out"
         )
-    array = real_array("mask", mask)
+    given = np.asarray(mask)
+    array = real_array("mask", given.astype(np.float32) if given.dtype == np.bool_ else given)
     if array.shape != frame.shape:
         raise InvalidFrameError(f"mask has shape {array.shape}, the frame {frame.shape}; they must agree")
     check_finite("mask", array)
@@ -206,7 +208,8 @@ def depth_at(depth: FloatArray, raster: Raster, x: float, y: float) -> float:
         If there is no pixel there.
     """
     left, top, width, height = raster.data
-    col, row = round(x) - left, round(y) - top
+    finite = math.isfinite(x) and math.isfinite(y)
+    col, row = (round(x) - left, round(y) - top) if finite else (-1, -1)
     if not (0 <= col < width and 0 <= row < height):
         raise InvalidParameterError(
             f"the point {x:g},{y:g} lies outside the frame's {width} x {height} px at {left},{top}"

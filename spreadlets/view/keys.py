@@ -78,6 +78,8 @@ def _text(camera: ThinLens) -> str:
     }
     if given["sensor_height_mm"] is not None:
         values["sensor_height_mm"] = given["sensor_height_mm"]
+    if camera.keys:
+        values["keys"] = [{name: value for name, value in key.items() if value is not None} for key in given["keys"]]
     for name in ("camera_to_world", "shutter_curve"):
         if given[name] is not None:
             values[name] = given[name]

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from spreadlets.errors import InvalidParameterError, SpreadletsError
+from spreadlets.errors import InvalidParameterError, SpreadletsError, options_spelled
 from spreadlets.files.images import write_image
 from spreadlets.packages import optional_package
 from spreadlets.serve.local import HOST, is_token, new_token
 from spreadlets.view import picture
 from spreadlets.view.keys import camera_files
 from spreadlets.view.session import Request, Studio, Superseded, Worker
-from spreadlets.view.settings import Settings, checked
+from spreadlets.view.settings import Settings, checked, spelled
 
 PAGE = Path(__file__).parent / "page"
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
@@ -168,8 +168,9 @@ class Server:
             return self._refusal()
         try:
             message = _object(await _body(request, MOST_MESSAGE_BYTES))
-            settings = self._settings(message)
-            files = camera_files(settings.camera(self.studio.scene.camera), message.get("keys"))
+            with options_spelled(spelled):
+                settings = self._settings(message)
+                files = camera_files(settings.camera(self.studio.scene.camera), message.get("keys"))
         except SpreadletsError as error:
             return PlainTextResponse(f"{error}\n", 400, HEADERS)
         packed = BytesIO()
@@ -194,7 +195,7 @@ class Server:
             path.write_bytes(data)
             model_settings(Stylized.name, {"image": str(path)})
         except SpreadletsError as error:
-            return PlainTextResponse(f"{error}\n", 400, HEADERS)
+            return PlainTextResponse(f"{error}\n".replace(str(path), "the image"), 400, HEADERS)
         self.studio.kernels[name] = str(path)
         return JSONResponse({"kernel": name}, headers=HEADERS)
 
@@ -244,6 +245,7 @@ class Server:
             "type": "hello",
             "width": width,
             "height": height,
+            "aspect": raster.pixel_aspect,
             "left": raster.data.left,
             "top": raster.data.top,
             "names": [os.path.basename(each) for each in scene.frames],
@@ -282,7 +284,8 @@ class Server:
             answer = ANSWERS.get(str(message.get("type")))
             if answer is None:
                 raise InvalidParameterError(f"there is no message of the type {message.get('type')!r}")
-            return answer(self, message, worker)
+            with options_spelled(spelled):
+                return answer(self, message, worker)
         except SpreadletsError as error:
             return {"type": "error", "text": str(error)}
 
@@ -306,8 +309,13 @@ class Server:
 
     def _focus(self, message: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         x, y = self._place(message)
-        depth = min(self.studio.plain.depth_at(x, y), 1e9)
-        return {"type": "focus", "x": x, "y": y, "focus": depth, "keep": message.get("keep") is True}
+        return {
+            "type": "focus",
+            "x": x,
+            "y": y,
+            "focus": self.studio.focus_at(x, y),
+            "keep": message.get("keep") is True,
+        }
 
     def _probe(self, message: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         """Return what is known of a pixel."""

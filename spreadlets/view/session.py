@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spreadlets.arrays import FloatArray
-from spreadlets.errors import SpreadletsError
+from spreadlets.errors import InvalidFrameError, SpreadletsError, options_spelled
 from spreadlets.psf.database import Database
 from spreadlets.renderer import Renderer, shows_motion
 from spreadlets.runtime.clock import Clock
@@ -35,7 +35,7 @@ from spreadlets.view.drafts import (
     DraftRenderer,
     ladder,
 )
-from spreadlets.view.settings import Settings
+from spreadlets.view.settings import BOUNDS, Settings, spelled
 
 RESTING_S = 0.05
 """How long a drag must rest before the whole picture is begun: if it goes on, that is dropped."""
@@ -97,6 +97,11 @@ class Scene:
     frames : tuple of str
         The frame's files.
     camera_file : str or None
+
+    Raises
+    ------
+    InvalidFrameError
+        If the reference has another size.
     """
 
     frame: Frame
@@ -105,6 +110,14 @@ class Scene:
     reference: FloatArray | None = None
     frames: tuple[str, ...] = ()
     camera_file: str | None = None
+
+    def __post_init__(self) -> None:
+        display = self.frame.raster.display
+        if self.reference is not None and self.reference.shape[:2] != display.shape:
+            height, width = self.reference.shape[:2]
+            raise InvalidFrameError(
+                f"the reference has {width} x {height} px, the frame displays {display.width} x {display.height}"
+            )
 
 
 class Ahead(threading.Thread):
@@ -222,6 +235,10 @@ class Studio:
         """Stop what was begun with."""
         self._ahead.drop()
 
+    def focus_at(self, x: float, y: float) -> float:
+        """Return the distance, m, at which what lies under a point is in focus, as a setting: the sky's is finite."""
+        return min(self.plain.depth_at(x, y), BOUNDS["focus"][1])
+
     def pinhole(self) -> FloatArray:
         """Return the frame without any blur, (H, W, 4) float32."""
         image = np.zeros((*self.scene.frame.shape, 4), np.float32)
@@ -290,7 +307,8 @@ class Worker(threading.Thread):
         """Work until the page is closed."""
         while (request := self._next()) is not None:
             try:
-                self._answer(request)
+                with options_spelled(spelled):
+                    self._answer(request)
             except Superseded:
                 continue
             except SpreadletsError as error:

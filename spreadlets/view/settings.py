@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 from spreadlets.bokeh import bokeh_model
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.models import Model
 from spreadlets.scene.camera import ThinLens
 
@@ -38,7 +38,24 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "near": (0.0, 1e9),
     "far": (0.0, 1e9),
 }
-"""Least and largest value of each number."""
+"""Least and largest value of each number; the largest focus stands for infinity."""
+
+
+LABELS: Mapping[str, str] = {
+    "f_number": "f-number",
+    "in_focus": "Sharp from and to",
+    "max_coc": "Largest CoC",
+    "cats_eye": "Cat's eye",
+    "gain": "Highlight gain",
+    "near": "Sharp from",
+    "far": "Sharp to",
+}
+"""Names of the settings on the page, where they are not those of here with blanks."""
+
+
+def spelled(name: str) -> str:
+    """Return the name of a setting as it stands on the page."""
+    return LABELS.get(name, name.replace("_", " ").capitalize())
 
 
 @dataclass(frozen=True)
@@ -107,7 +124,7 @@ class Settings:
         for name, value in given.items():
             if name in CHOICES:
                 if value not in CHOICES[name]:
-                    raise InvalidParameterError(f"{name} is {value!r}: allowed are {', '.join(CHOICES[name])}")
+                    raise InvalidParameterError(f"{option(name)} is {value!r}: allowed are {', '.join(CHOICES[name])}")
                 numbers[name] = value
             elif name in BOUNDS:
                 numbers[name] = checked(name, value, *BOUNDS[name])
@@ -120,16 +137,11 @@ class Settings:
         return replace(self, kernel=path)
 
     def camera(self, base: ThinLens) -> ThinLens:
-        """Return the camera, still, with the sensor and the middle of the shutter of another."""
+        """Return the camera, its lens held, with the sensor, the move and the middle of the shutter of another."""
         half, centre = 0.5 * self.shutter / DEGREES_PER_FRAME, base.shutter_centre
-        return replace(
-            base,
-            f_number=self.f_number,
-            focal_length_mm=self.focal_length,
-            focus_distance_m=self.focus,
-            shutter=(centre - half, centre + half),
-            keys=(),
-        )
+        focus = self.focus if self.focus < BOUNDS["focus"][1] else math.inf
+        held = base.held(f_number=self.f_number, focal_length_mm=self.focal_length, focus_distance_m=focus)
+        return replace(held, shutter=(centre - half, centre + half))
 
     def options(self) -> dict[str, Any]:
         """Return the options of rendering that are not the default."""
@@ -170,7 +182,7 @@ class Settings:
         words += ["--camera", camera] if camera else ["--sensor-width", f"{base.sensor_width_mm:g}"]
         own = self.camera(base)
         words += ["--f-number", f"{self.f_number:.6g}", "--focal-length", f"{self.focal_length:.6g}"]
-        words += ["--focus", f"{self.focus:.6g}", "--shutter", f"{own.shutter[0]:.6g},{own.shutter[1]:.6g}"]
+        words += ["--focus", f"{own.focus_distance_m:.6g}", "--shutter", f"{own.shutter[0]:.6g},{own.shutter[1]:.6g}"]
         for name, value in (self.options() | self.shape()).items():
             words.append("--" + name.replace("_", "-"))
             if value is not True:
@@ -188,7 +200,7 @@ def checked(name: str, value: Any, least: float, most: float) -> float:
         If it is none, or out of its range.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InvalidParameterError(f"{name} is {value!r}: needed is a number")
+        raise InvalidParameterError(f"{option(name)} is {value!r}: needed is a number")
     if not least <= value <= most:
-        raise InvalidParameterError(f"{name} is {value:g}: allowed are {least:g} to {most:g}")
+        raise InvalidParameterError(f"{option(name)} is {value:g}: allowed are {least:g} to {most:g}")
     return float(value)

@@ -113,7 +113,7 @@ def _changed(studio: Studio, chosen: Settings, message: Mapping[str, Any]) -> Se
     if "click" in message:
         x, y = message["click"]
         left, top, *_ = studio.scene.frame.raster.data
-        changed = changed.changed({"focus": studio.plain.depth_at(left + x, top + y)})
+        changed = changed.changed({"focus": studio.focus_at(left + x, top + y)})
     return changed
 
 
@@ -122,8 +122,10 @@ def _sliders(settings: Settings) -> dict[str, float]:
 
 
 def _ranges(studio: Studio) -> dict[str, tuple[float, float]]:
-    """Return the ends of each slider; that of the focus reaches as far as the frame."""
+    """Return the ends of each slider; that of the focus reaches as far as the frame, and all hold the camera's."""
     depth = studio.plain.depth[np.isfinite(studio.plain.depth)]
     near, far = (0.5 * float(depth.min()), 2.0 * float(depth.max())) if depth.size else (0.1, 100.0)
     own = {"f_number": (0.5, 32.0), "focal_length": (10.0, 300.0), "focus": (near, far), "shutter": (0.0, 360.0)}
+    camera = _sliders(Settings.of_camera(studio.scene.camera))
+    own = {name: (min(least, camera[name]), max(most, camera[name])) for name, (least, most) in own.items()}
     return own | {"exposure": (-6.0, 6.0), "blades": (0.0, 9.0)}

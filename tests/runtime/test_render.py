@@ -290,6 +290,17 @@ def test_gathering_takes_the_moment_at_mid_shutter_of_what_changes(small_combine
     assert np.array_equal(gathered, still) and np.allclose(gathered[..., 3], 1.0, atol=1e-6)
 
 
+def test_gathering_takes_a_shutter_of_any_curve_as_evenly_open(small_combined):
+    ones = np.ones((24, 24, 3), np.float32)
+    ones[8:16, 8:16] = 4.0
+    frame = Frame(ones, np.full((24, 24), depth_of(3.0, 24)), np.full((24, 24, 2), 4.0))
+    curved, even = (
+        synthesize_any(frame, replace(CAMERA, shutter_curve=curve), small_combined, method="gather")
+        for curve in ((0.0, 1.0, 0.0), None)
+    )
+    assert np.array_equal(curved, even) and curved.std() > 0
+
+
 def test_gathering_around_holes_and_blended_depths_takes_no_light_from_nowhere(small_combined):
     depth = np.full((48, 48), depth_of(9.0, 48))
     depth[:, 24:] = depth_of(3.0, 48)

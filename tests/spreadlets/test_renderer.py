@@ -113,6 +113,9 @@ def test_depth_under_a_point_is_that_of_its_surface_even_at_an_edge(renderer):
     assert renderer.depth_at(39, 30) == FAR
     with pytest.raises(InvalidParameterError, match="128,0 lies outside the frame's 128 x 96 px"):
         renderer.depth_at(128, 0)
+    for nowhere in (np.nan, np.inf):
+        with pytest.raises(InvalidParameterError, match=f"the point 3,{nowhere} lies outside"):
+            renderer.depth_at(3, nowhere)
 
 
 def test_depth_of_layers_is_that_of_what_is_seen(frame):
@@ -225,3 +228,38 @@ def test_focus_at_a_point_overrides_a_pull_of_the_focus(renderer):
     held = renderer.camera(pull, focus_at=(0, 0))
     assert held.at(0.0).focus_distance_m == held.at(1.0).focus_distance_m == FAR
     assert held.at(1.0).f_number == 2.0
+
+
+def test_focus_at_a_point_leaves_the_cameras_move_as_it_is(renderer):
+    aside = np.eye(4)
+    aside[0, 3] = 0.3
+    keys = (sp.LensKey(-0.25, camera_to_world=np.eye(4)), sp.LensKey(0.25, camera_to_world=aside))
+    moving = replace(CAMERA, keys=keys)
+    at, report = renderer.render(moving, focus_at=(0, 0), report=True)
+    assert report.plan.motion_from == "camera"
+    np.testing.assert_array_equal(at, renderer.render(replace(moving, focus_distance_m=FAR)))
+
+
+def test_coc_of_a_lens_that_is_pulled_is_that_in_mid_exposure(renderer):
+    pull = replace(CAMERA, keys=(sp.LensKey(-0.25, focus_distance_m=4.0), sp.LensKey(0.25, focus_distance_m=6.0)))
+    np.testing.assert_array_equal(renderer.coc(pull), renderer.coc(replace(CAMERA, focus_distance_m=5.0)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"layers": 1.5}, "layers is 1.5: allowed are 1 to 64"),
+        ({"layers": "2"}, "layers is '2': allowed are 1 to 64"),
+        ({"region": (0.5, 0, 10, 5)}, "needed are x, y, width and height in whole px"),
+    ],
+)
+def test_what_is_no_whole_number_is_refused(renderer, options, message):
+    with pytest.raises(InvalidParameterError, match=message):
+        renderer.render(CAMERA, **options)
+
+
+def test_pairs_may_be_lists(renderer):
+    np.testing.assert_array_equal(
+        renderer.render(CAMERA, in_focus=[2.0, 4.0], highlights=[3.0, 0.5], region=[3, 4, 20, 10]),
+        renderer.render(CAMERA, in_focus=(2.0, 4.0), highlights=(3.0, 0.5), region=(3, 4, 20, 10)),
+    )

@@ -6,6 +6,7 @@ const $ = (id) => document.getElementById(id);
 const settings = {};            // What is chosen, by the server's names.
 const images = {};              // pinhole, reference, result: canvases.
 const keys = new Map();         // Focus by frame.
+const INFINITE = 1e9;           // The focus on the sky; a slider that reached there could not be set to anything near.
 const view = { zoom: 0, x: 0, y: 0 };  // 0: the whole picture.
 let hello = null, initial = null, socket = null, kernel = "";
 let asked = 0;
@@ -17,7 +18,14 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/live?token=${encodeURIComponent(TOKEN)}`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (event) => receive(event.data);
-  socket.onclose = () => say("the program has ended, or the connection is lost: reload the page", true);
+  socket.onclose = lost;
+}
+
+function lost() { say("the program has ended, or the connection is lost: reload the page", true); }
+
+function tell(message) {
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  else if (socket.readyState !== WebSocket.CONNECTING) lost();
 }
 
 function receive(buffer) {
@@ -94,8 +102,17 @@ function ask(dragging) {
   asked += 1;
   $("progress").hidden = true;
   if (!dragging) say(`rendering ${asked}`);
-  if (socket.readyState !== WebSocket.OPEN) return;
-  socket.send(JSON.stringify({ type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() }));
+  tell({ type: "render", number: asked, settings: { ...settings, kernel }, dragging, judging: isJudging() });
+}
+
+// What is at an address; nothing, and the reason is shown, if it cannot be had.
+async function fetched(address, options) {
+  try {
+    const answer = await fetch(`${address}?token=${TOKEN}`, options);
+    if (answer.ok) return answer;
+    say(await answer.text(), true);
+  } catch { lost(); }
+  return null;
 }
 
 function isJudging() { return Number($("wipe").value) > 0 && $("against").value !== "pinhole"; }
@@ -105,18 +122,20 @@ function say(text, wrong = false) {
   $("status").classList.toggle("wrong", wrong);
 }
 
-function leftOut(message) { return message.plan.left_out?.length ? `  left out: ${message.plan.left_out.join(", ")}` : ""; }
+const counted = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
+
+function leftOut(message) { return message.plan.left_out?.length ? `, left out: ${message.plan.left_out.join(", ")}` : ""; }
 
 function report(message) {
   const time = Object.entries(message.time_s).filter(([name, value]) => value > 0.0005 && name !== "total")
-    .map(([name, value]) => `${name} ${(1000 * value).toFixed(0)}`).join("  ");
+    .map(([name, value]) => `${name} ${(1000 * value).toFixed(0)}`).join(", ");
   const total = (1000 * message.time_s.total).toFixed(0);
   if (!message.full) {
-    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms  (${time})${leftOut(message)}`);
+    say(`drag ${message.number}: ${message.width} x ${message.height} px  ${total} ms (${time})${leftOut(message)}`);
     return;
   }
   $("progress").hidden = true;
-  say(message.number === asked ? `ready ${message.number}: ${total} ms  (${time})  ${message.plan.layers} layers${leftOut(message)}` : `rendering ${asked}`);
+  say(message.number === asked ? `ready ${message.number}: ${total} ms (${time}), ${counted(message.plan.layers, "layer")}${leftOut(message)}` : `rendering ${asked}`);
 }
 
 // --- Settings ---------------------------------------------------------------------------------------------------
@@ -138,7 +157,7 @@ function set(name, value) {
   settings[name] = value;
   const input = inputOf[name];
   if (!input) return;
-  if (input.type === "range" && Number(input.max) < value) input.max = value;
+  if (input.type === "range" && Number(input.max) < value && value < INFINITE) input.max = value;
   if (input.type === "range" && Number(input.min) > value) input.min = value;
   input.value = typeof value === "number" && input.type !== "range" ? short(value) : value;
   const field = fieldOf(input);
@@ -170,8 +189,8 @@ for (const input of inputs) {
 $("kernel").addEventListener("change", async () => {
   const file = $("kernel").files[0];
   if (!file) return;
-  const answer = await fetch(`kernel?token=${TOKEN}`, { method: "POST", body: await file.arrayBuffer() });
-  if (!answer.ok) { say(await answer.text(), true); return; }
+  const answer = await fetched("kernel", { method: "POST", body: await file.arrayBuffer() });
+  if (!answer) return;
   kernel = (await answer.json()).kernel;
   ask(false);
 });
@@ -183,13 +202,9 @@ const canvas = $("picture");
 function placement() {
   const ratio = window.devicePixelRatio || 1;
   const width = canvas.clientWidth * ratio, height = canvas.clientHeight * ratio;
-  if (canvas.width !== Math.round(width) || canvas.height !== Math.round(height)) {
-    canvas.width = Math.round(width);
-    canvas.height = Math.round(height);
-  }
-  const whole = Math.min(width / hello.width, height / hello.height);
-  const scale = view.zoom || whole;
-  return { scale, ratio, left: width / 2 - scale * (hello.width / 2 + view.x), top: height / 2 - scale * (hello.height / 2 + view.y) };
+  const whole = Math.min(width / (hello.width * hello.aspect), height / hello.height);
+  const scale = view.zoom || whole, across = scale * hello.aspect;  // Of a pixel's height and width.
+  return { scale, across, ratio, left: width / 2 - across * (hello.width / 2 + view.x), top: height / 2 - scale * (hello.height / 2 + view.y) };
 }
 
 let drawing = false;
@@ -200,9 +215,11 @@ function draw() {
 }
 
 function paint() {
-  const { scale, left, top } = placement();
+  const { scale, across, ratio, left, top } = placement();
+  const size = [canvas.clientWidth, canvas.clientHeight].map((each) => Math.round(each * ratio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;  // Which clears it.
   const context = canvas.getContext("2d", { alpha: false });
-  const width = hello.width * scale, height = hello.height * scale;
+  const width = hello.width * across, height = hello.height * scale;
   context.fillStyle = getComputedStyle($("stage")).backgroundColor;
   context.fillRect(0, 0, canvas.width, canvas.height);
   const place = (image) => {
@@ -233,9 +250,9 @@ function paint() {
 }
 
 function pixelAt(event) {
-  const { scale, ratio, left, top } = placement();
+  const { scale, across, ratio, left, top } = placement();
   const box = canvas.getBoundingClientRect();
-  const x = Math.floor(((event.clientX - box.left) * ratio - left) / scale), y = Math.floor(((event.clientY - box.top) * ratio - top) / scale);
+  const x = Math.floor(((event.clientX - box.left) * ratio - left) / across), y = Math.floor(((event.clientY - box.top) * ratio - top) / scale);
   if (x < 0 || y < 0 || x >= hello.width || y >= hello.height) return null;
   return { x: x + hello.left, y: y + hello.top };
 }
@@ -249,40 +266,40 @@ canvas.addEventListener("pointerdown", (event) => {
 canvas.addEventListener("pointermove", (event) => {
   if (!hello) return;
   if (grip) {
-    const { scale, ratio } = placement();
+    const { scale, across, ratio } = placement();
     const dx = event.clientX - grip.x, dy = event.clientY - grip.y;
     if (Math.hypot(dx, dy) > 4) grip.moved = true;
     if (grip.moved && view.zoom) {
-      view.x = grip.view.x - (dx * ratio) / scale;
+      view.x = grip.view.x - (dx * ratio) / across;
       view.y = grip.view.y - (dy * ratio) / scale;
       draw();
     }
     return;
   }
   const now = performance.now(), pixel = pixelAt(event);
-  if (pixel && now - probed > 60 && socket.readyState === WebSocket.OPEN) {
+  if (pixel && now - probed > 60) {
     probed = now;
-    socket.send(JSON.stringify({ type: "probe", ...pixel, settings: { ...settings, kernel } }));
+    tell({ type: "probe", ...pixel, settings: { ...settings, kernel } });
   }
 });
 canvas.addEventListener("pointerleave", () => { $("probe").textContent = ""; });
 canvas.addEventListener("pointerup", (event) => {
   const pixel = grip && !grip.moved && event.button === 0 ? pixelAt(event) : null;
   grip = null;
-  if (pixel) socket.send(JSON.stringify({ type: "focus", ...pixel, keep: event.shiftKey }));
+  if (pixel) tell({ type: "focus", ...pixel, keep: event.shiftKey });
 });
 canvas.addEventListener("wheel", (event) => {
   if (!hello) return;
   event.preventDefault();
   const before = placement(), box = canvas.getBoundingClientRect();
-  const x = ((event.clientX - box.left) * before.ratio - before.left) / before.scale, y = ((event.clientY - box.top) * before.ratio - before.top) / before.scale;
+  const x = ((event.clientX - box.left) * before.ratio - before.left) / before.across, y = ((event.clientY - box.top) * before.ratio - before.top) / before.scale;
   const scale = Math.min(Math.max(before.scale * Math.exp(-event.deltaY / 500), 0.05), 64);
   view.x = x - hello.width / 2 - ((x - hello.width / 2 - view.x) * before.scale) / scale;
   view.y = y - hello.height / 2 - ((y - hello.height / 2 - view.y) * before.scale) / scale;
   view.zoom = scale;
   draw();
 }, { passive: false });
-addEventListener("resize", draw);
+new ResizeObserver(draw).observe(canvas);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 
 const wipeField = fieldOf($("wipe"));
@@ -308,8 +325,8 @@ function showKeys() {
 function addKey() { keys.set(Number($("frame-number").value), settings.focus); showKeys(); }
 
 async function download(address, options, name) {
-  const answer = await fetch(`${address}?token=${TOKEN}`, options);
-  if (!answer.ok) { say(await answer.text(), true); return; }
+  const answer = await fetched(address, options);
+  if (!answer) return;
   const link = document.createElement("a");
   link.href = URL.createObjectURL(await answer.blob());
   link.download = name;

@@ -4,7 +4,7 @@ import pytest
 from spreadlets import SampleBuffer, reconstruct
 from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.finish import denoise
-from spreadlets.runtime.finish.denoise import denoise_sharp
+from spreadlets.runtime.finish.denoise import DENOISING, denoise_sharp
 from spreadlets.scene.camera import ThinLens
 
 CAMERA = ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.08, focus_distance_m=2.0)
@@ -40,3 +40,20 @@ def test_what_cannot_be_denoised_is_refused(small_combined, method, name):
     samples = SampleBuffer(np.ones((8, 8, 1, 3)), np.full((8, 8, 1), 2.0), zero, zero, np.zeros((8, 8, 1)))
     with pytest.raises(InvalidParameterError, match="denoise is"):
         reconstruct(samples, CAMERA, small_combined, method=method, denoise=name)
+
+
+@pytest.mark.parametrize("hue", [(1.0, 1.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.5, 0.0)])
+def test_bm3d_takes_images_of_one_hue_and_of_one_colour(hue):
+    pytest.importorskip("bm3d")
+    noise = np.random.default_rng(4).random((24, 32, 1)).astype(np.float32)
+    noisy = np.float32(0.5) * noise * np.float32(hue)
+    found = DENOISING["bm3d"](noisy)
+    assert np.isfinite(found).all() and found.min() >= 0 and found.std() < noisy.std()
+    even = np.full((24, 32, 3), hue, np.float32)
+    np.testing.assert_allclose(DENOISING["bm3d"](even), even, atol=1e-6)
+
+
+def test_bm3d_refuses_images_smaller_than_its_blocks():
+    pytest.importorskip("bm3d")
+    with pytest.raises(InvalidParameterError, match="'bm3d' is for 8 x 8 px and more: the image has 40 x 7"):
+        DENOISING["bm3d"](np.ones((7, 40, 3), np.float32))

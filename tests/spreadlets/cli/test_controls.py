@@ -98,6 +98,14 @@ def test_the_coc_is_written_with_its_sign(synth):
     assert coc[0, 0] < 0 < coc[0, 63]
 
 
+def test_the_coc_of_a_part_of_a_proxy_lies_where_the_picture_does(synth):
+    synth("--focus", "3", "--proxy", "0.5", "--region", "20,10,30,24", "--output-coc", "coc.exr")
+    with OpenEXR.File("out.exr") as image, OpenEXR.File("coc.exr") as coc:
+        assert image.header()["dataWindow"][0].tolist() == coc.header()["dataWindow"][0].tolist() == [10, 5]
+    camera = sp.read_camera("camera.json", focus_distance_m=3.0)
+    np.testing.assert_allclose(read_plane("coc.exr")[0, [0, 14]], camera.coc_radius([2.0, 6.0], 64), rtol=1e-5)
+
+
 def test_an_aperture_of_blades_is_built_once(synth, folder):
     hexagon = synth("--blades", "4", "--max-coc", "3")
     files = list((folder / "cache").glob("*.h5"))
@@ -113,6 +121,8 @@ def test_an_aperture_of_blades_is_built_once(synth, folder):
         (("--focus-at", "1"), "has 1 numbers; needed is X,Y"),
         (("--focus-at", "1,x"), "'1,x' is not X,Y"),
         (("--focus-at", "64,0"), "lies outside the frame's 64 x 48 px"),
+        (("--f-number", "0"), "error: --f-number is 0; it must be finite and > 0"),
+        (("--focus", "-1"), "error: --focus is -1, which puts the focus inside the focal length"),
         (("--in-focus", "3,2"), "--in-focus is (3.0, 2.0): allowed are depths 0 < NEAR <= FAR"),
         (("--region", "0,0,65,10"), "--region is 0,0,65,10: it must lie within"),
         (("--region", "0,0,1.5,10"), "'0,0,1.5,10' is not X,Y,W,H"),
@@ -120,7 +130,12 @@ def test_an_aperture_of_blades_is_built_once(synth, folder):
         (("--mask", "missing.png"), "missing.png"),
         (("--blades", "6", "--db", "combined"), "--blades and --db exclude each other"),
         (("--kernel", "k.png", "--squeeze", "0.5"), "--kernel is the whole PSF"),
-        (("--blades", "2"), "blades is 2: allowed are 0 or 3 to 64"),
+        (("--blades", "2"), "--blades is 2: allowed are 0 or 3 to 64"),
+        (("--cats-eye-radial",), "a --cats-eye above 0 and without a --cats-eye-angle"),
+        (("--tolerance", "3"), "--tolerance is 3.0: allowed are 0 (off) to below 1"),
+        (("--layers", "100"), "--layers is 100: allowed are 1 to 64"),
+        (("--softness", "2"), "--softness is 2.0: allowed are 0"),
+        (("--firefly-clamp", "0"), "--firefly-clamp is 0.0: allowed are 1 and more"),
         (("--output-coc", "coc.png"), "radii have a sign"),
         (("--output-coc", "./out.exr"), "the same file"),
         (("--pass-through", "--proxy", "0.5"), "leave --proxy and --region out"),

@@ -11,8 +11,10 @@ import pytest
 from spreadlets.cli import main as cli
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
+from spreadlets.files.exr_samples import write_samples
 from spreadlets.psf.database import open_database
 from spreadlets.scene.frame import Frame
+from spreadlets.scene.samples import SampleBuffer
 
 CAMERA = {
     "focal_length_mm": 50.0,
@@ -595,3 +597,33 @@ def test_what_is_read_as_hidden_is_not_replaced(run, posts, small_combined_path)
     )
     status, _, err = run("synth", posts / "shot.0002.exr", *given, "--db", small_combined_path)
     assert status != 0 and "shot.0001.exr" in err
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (("--method", "mean", "--no-motion"), "--no-motion is no option of method 'mean'"),
+        (("--method", "mean", "--layers", "3"), "--layers is no option of method 'mean'"),
+        (("--method", "lrdm", "--no-calibrate"), "--no-calibrate is no option of method 'lrdm'"),
+    ],
+)
+def test_options_of_other_methods_are_named_as_they_are_typed(run, tmp_path, chosen, message):
+    pairs = np.zeros((4, 6, 1, 2))
+    times = pairs[..., 0]
+    samples = SampleBuffer(np.ones((4, 6, 1, 3)), times + 1.0, pairs, pairs, times)
+    write_samples(tmp_path / "samples.exr", samples)
+    lens = "--focal-length", "50", "--sensor-width", "36", "--f-number", "2", "--focus", "3"
+    status, _, err = run("reconstruct", tmp_path / "samples.exr", "-o", tmp_path / "out.exr", *lens, *chosen)
+    assert status == 2 and message in err
+
+
+def test_the_page_is_not_shown_of_files_that_do_not_fit(run, tmp_path):
+    frame, lens = tmp_path / "frame.exr", ("--focal-length", "50", "--f-number", "2", "--focus", "3", "--json")
+    status, _, err = run("view", frame, *lens)
+    assert status == 2 and "frame.exr: there is no such file" in err
+    exr.write_frame(frame, Frame(np.ones((8, 12, 3)), np.ones((8, 12))))
+    images.write_image(tmp_path / "other.exr", np.ones((12, 8, 3)))
+    status, _, err = run("view", frame, *lens, "--reference", tmp_path / "other.exr")
+    assert status == 2 and "the reference has 8 x 12 px, the frame displays 12 x 8" in err
+    status, _, err = run("view", frame, *lens, "--db", "nothing")
+    assert status == 2 and "no database 'nothing'" in err

@@ -43,7 +43,7 @@ def test_a_command_of_a_host_is_the_one_that_is_typed(frame, small_combined_path
 def test_errors_and_warnings_come_back_each_time(frame, small_combined_path):
     request = Request(arguments(small_combined_path, "--layers", "999"), str(frame))
     assert [run_command(cli, request)[::2] for _ in range(2)] == [
-        (2, ["error: layers is 999: allowed are 1 to 64"])
+        (2, ["error: --layers is 999: allowed are 1 to 64"])
     ] * 2
     far = Request(arguments(small_combined_path, "--focus", "4000"), str(frame))
     with pytest.warns(AmbiguousInputWarning, match="focus"):

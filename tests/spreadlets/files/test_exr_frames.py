@@ -9,6 +9,7 @@ from spreadlets.files import exr_chunks, exr_file, images
 from spreadlets.files import exr_frames as exr
 from spreadlets.files.exr_chunks import check_chunks, check_structure
 from spreadlets.scene.frame import Frame
+from spreadlets.scene.raster import Raster, Window
 
 SHAPE = (5, 7)
 
@@ -299,6 +300,22 @@ def test_a_frame_is_read_in_its_data_window(path):
     assert frame.raster.data == (2, 1, 7, 5) and frame.raster.display == (0, 0, 6, 8)
     assert frame.raster.pixel_aspect == 2
     np.testing.assert_array_equal(frame.depth, channels["Z"])
+
+
+@pytest.mark.parametrize("n_layers", [1, 2])
+@pytest.mark.filterwarnings("ignore:layer 0 is opaque")
+def test_a_frame_that_was_read_keeps_its_windows_aspect_and_attributes_when_it_is_written(path, n_layers):
+    raster = Raster(Window(-3, 2, 6, 4), Window(0, 0, 5, 8), pixel_aspect=2.0)
+    frame = Frame(np.ones((4, 6, 3)), depth=np.full((4, 6), 2.0), raster=raster)
+    images.write_image(
+        path, np.ones((4, 6, 3)), raster=raster, metadata={"comments": "take 3"}, channels={"Z": frame.depth}
+    )
+    given = exr.read_frame(path, preset="arnold", motion_channels=())
+    exr.write_frame(path, Frame.from_layers([given] * n_layers))
+    found = exr.read_frame(path)
+    assert (found.raster.data, found.raster.display) == (raster.data, raster.display)
+    assert found.raster.pixel_aspect == 2.0 and found.raster.attributes == given.raster.attributes
+    assert "comments" in found.raster.attributes
 
 
 def test_an_element_that_is_not_opaque_reaches_as_far_as_the_display_window(path):

@@ -1,5 +1,7 @@
 """Photographs and planes from files."""
 
+import struct
+
 import numpy as np
 import pytest
 from PIL import Image, ImageCms
@@ -51,6 +53,82 @@ def test_a_colour_profile_is_followed(tmp_path):
     Image.fromarray(CODES).save(tmp_path / "b.png", icc_profile=profile.tobytes())
     with pytest.raises(InvalidFileError, match=r"b\.png: its colour profile cannot be used"):
         read_picture(tmp_path / "b.png")
+
+
+def profile(colours, connection, name, data):
+    """The smallest colour profile (ICC.1:2001): a header, a white point, and one table."""
+    white = b"XYZ \0\0\0\0" + struct.pack(">3i", 0xF6D6, 0x10000, 0xD32D)
+    tags = struct.pack(">I4sII4sII", 2, b"wtpt", 156, len(white), name, 156 + len(white), len(data))
+    size, kind = 156 + len(white) + len(data), b"mntr" if colours == b"GRAY" else b"prtr"
+    header = struct.pack(">I4xI4s4s4s12x4s28x", size, 0x2100000, kind, colours, connection, b"acsp")
+    return header + struct.pack(">3i48x", 0xF6D6, 0x10000, 0xD32D) + tags + white + data
+
+
+def grey_profile():
+    """Linear grey: a curve of no entries."""
+    return profile(b"GRAY", b"XYZ ", b"kTRC", b"curv" + bytes(8))
+
+
+def ink_profile():
+    """Inks whose lightness L* falls evenly with the black, and the others do nothing: a table of two places an axis."""
+    same, unit = bytes(range(256)), np.eye(3).ravel() * 0x10000
+    light = b"".join(bytes([0 if place % 2 else 255, 128, 128]) for place in range(16))
+    table = struct.pack(">4s4x4B9i", b"mft1", 4, 3, 2, 0, *map(int, unit)) + 4 * same + light + 3 * same
+    return profile(b"CMYK", b"Lab ", b"A2B0", table)
+
+
+def test_a_profile_of_inks_is_followed(tmp_path):
+    inks = np.zeros((4, 6, 4), np.uint8)
+    inks[:, 3:, 3] = 128
+    inks[2:, :, 0] = 255
+    Image.fromarray(inks, "CMYK").save(tmp_path / "a.tif", icc_profile=ink_profile())
+    shown = 255 * display_encode(read_picture(tmp_path / "a.tif").radiance)
+    np.testing.assert_allclose(shown[:, :3], 255, atol=2)
+    np.testing.assert_allclose(shown[:, 3:], 118, atol=3)  # L* of 50
+
+
+def test_a_profile_of_grey_is_followed(tmp_path):
+    grey = CODES[..., 0]
+    alone, covered = Image.fromarray(grey), Image.fromarray(np.dstack([grey, np.full_like(grey, 255)]), "LA")
+    for name, image in (("a.png", alone), ("b.png", covered)):
+        image.save(tmp_path / name, icc_profile=grey_profile())
+        found = read_picture(tmp_path / name).radiance
+        np.testing.assert_allclose(found, np.repeat(grey[..., None] / 255, 3, axis=2), atol=0.006)
+
+
+def test_what_is_not_read_of_a_picture_is_named(tmp_path):
+    alpha = np.full(CODES.shape[:2], 255, np.uint8)
+    Image.fromarray(np.dstack([CODES, alpha])).save(tmp_path / "opaque.png")
+    read_picture(tmp_path / "opaque.png")
+    alpha[2, 3] = 7
+    Image.fromarray(np.dstack([CODES, alpha])).save(tmp_path / "a.png")
+    with pytest.warns(UserWarning, match=r"a\.png: its alpha is left out"):
+        read_picture(tmp_path / "a.png")
+    for name in ("b.png", "b.tif"):
+        sp.write_image(tmp_path / name, display_decode(CODES), bit_depth=16)
+        with pytest.warns(UserWarning, match="of its 16 bits only 8 are read"):
+            read_picture(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.npy", "a.pfm"])
+def test_what_is_not_there_is_named_once(tmp_path, name):
+    with pytest.raises(InvalidFileError, match=rf"{name}: cannot be read.*: No such file or directory$") as refused:
+        read_plane(tmp_path / name)
+    assert str(refused.value).count(name) == 1
+
+
+def test_integers_that_are_no_codes_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", CODES.astype(np.int64))
+    with pytest.raises(InvalidFileError, match="has dtype int64; a picture is of uint8, uint16, or linear floats"):
+        read_picture(tmp_path / "a.npy")
+
+
+def test_integers_of_a_picture_are_no_metres(tmp_path):
+    Image.fromarray(CODES[..., 0]).save(tmp_path / "a.png")
+    Image.fromarray(PLANE).save(tmp_path / "a.tif")
+    np.testing.assert_array_equal(read_plane(tmp_path / "a.tif", in_metres=True), PLANE)
+    with pytest.raises(InvalidFileError, match=r"a\.png: its integers have no unit; give metres as floats"):
+        read_plane(tmp_path / "a.png", in_metres=True)
 
 
 def test_arrays_and_openexr_are_linear_and_integers_srgb(tmp_path):

@@ -118,6 +118,19 @@ def test_a_mask_keeps_the_subject_sharp_whatever_its_depth():
     np.testing.assert_array_equal(image[NEAR], RGB[NEAR])
 
 
+def test_a_mask_may_be_of_booleans():
+    given = {"focus": (2, 2), "blur": 5, "refine": False}
+    masked = sp.photo(RGB, INVERSE, mask=NEAR, **given)
+    np.testing.assert_array_equal(masked, sp.photo(RGB, INVERSE, mask=NEAR.astype(np.float32), **given))
+
+
+@pytest.mark.parametrize("lens", [{"blur": 4}, {"f_number": 0.5}])
+def test_the_sky_may_be_in_focus(lens):
+    depth = np.where(NEAR, 2.0, np.inf)
+    image = sp.photo(RGB, depth, focus=(2, 2), depth_kind="metric", refine=False, **lens)
+    assert detail(image, AROUND) > 0.99 * detail(RGB, AROUND) and detail(image, SUBJECT) < 0.5 * detail(RGB, SUBJECT)
+
+
 def test_grain_comes_back_where_the_blur_took_it():
     rng = np.random.default_rng(3)
     noisy = np.clip(128 + rng.normal(0, 8, RGB.shape), 0, 255).astype(np.uint8)
@@ -132,13 +145,21 @@ def test_grain_comes_back_where_the_blur_took_it():
     [
         ({"focus": (200, 0)}, InvalidParameterError, "lies outside"),
         ({"focus": (1, 2, 3)}, InvalidParameterError, "needed are x,y or left,top,right,bottom"),
+        ({"focus": "64,48"}, InvalidParameterError, "focus is '64,48': needed are x,y"),
+        ({"focus": 64}, InvalidParameterError, "focus is 64: needed are x,y"),
+        ({"focus": (64, np.nan)}, InvalidParameterError, "lies outside"),
+        ({"focus": (1, 1, np.inf, 9)}, InvalidParameterError, "the box must lie within 128 x 96 px"),
         ({"focus": (0, 0, 0, 5)}, InvalidParameterError, "the box must lie within 128 x 96 px"),
         ({"blur": 0}, InvalidParameterError, "blur is 0: needed is a radius above 0 px"),
+        ({"f_number": 2.0, "blur": 3.0}, InvalidParameterError, "blur and f_number exclude each other"),
+        ({"focal_length": 50.0}, InvalidParameterError, "focal_length is for f_number"),
         ({"f_number": 2.0}, InvalidParameterError, "needs depths in metres"),
         ({"depth_kind": "parallax"}, InvalidParameterError, "allowed are inverse, metric, disparity"),
         ({"depth": INVERSE.T}, InvalidFrameError, "was one of them turned?"),
         ({"depth": np.ones(SHAPE)}, InvalidFrameError, "the depth map is 1 everywhere"),
         ({"depth": np.full(SHAPE, np.nan)}, InvalidFrameError, "holds no valid value"),
+        ({"depth": INVERSE[..., None]}, InvalidFrameError, r"depth has shape \(96, 128, 1\); it must be \(h, w\)"),
+        ({"rgb": RGB.astype(int)}, InvalidFrameError, "rgb has dtype int64; it must hold uint8 or uint16"),
         ({"rgb": RGB[..., 0]}, InvalidFrameError, "rgb has shape"),
     ],
 )

@@ -1,6 +1,7 @@
 """The page in a real browser: what a user does, and what is to be seen then."""
 
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -176,7 +177,7 @@ def test_overlay_exposure_and_layers_change_the_picture(page):
     pictures.append(shown(page))
     act(page, lambda: set_range(page, "exposure", 0, "input", "change"))
     act(page, lambda: set_range(page, "layers", 1, "change"))
-    assert "1 layers" in page.text_content("#status")
+    assert ", 1 layer," in page.text_content("#status")
     assert "--layers 1" in page.input_value("#command-line")
     for number, one in enumerate(pictures):
         for other in pictures[number + 1 :]:
@@ -229,6 +230,80 @@ def test_the_page_fits_and_can_be_read_in_any_size_and_scheme(page, scheme, widt
         ".map((each) => Number(each.match(/\\d+/)[0]))"
     )
     assert abs(ground - text) > 150 and (ground > text) == (scheme == "light")
+
+
+def test_the_picture_fits_and_stays_when_what_is_below_it_takes_more_lines(page):
+    before = page.evaluate("canvas.clientHeight")
+    page.evaluate("say('long '.repeat(200))")
+    page.wait_for_function(f"canvas.clientHeight < {before} && canvas.height === canvas.clientHeight")
+    page.evaluate("say('longer '.repeat(400)); pixelAt({ clientX: 9, clientY: 9 })")
+    middle = "[...canvas.getContext('2d').getImageData(canvas.width / 2, canvas.height / 2, 1, 1).data]"
+    assert sum(page.evaluate(middle)[:3]) > 0
+    act(page, lambda: page.click("#reset"))
+
+
+def test_pixels_that_are_no_squares_are_shown_as_they_are(page):
+    page.evaluate("hello.aspect = 2")
+    scale, across = page.evaluate("[placement().scale, placement().across]")
+    width, height = page.evaluate("[canvas.width, canvas.height]")
+    assert across == 2 * scale == pytest.approx(min(2 * height / SHAPE[0], width / SHAPE[1]))
+    box = page.locator("#picture").bounding_box()
+    middle = {
+        "clientX": box["x"] + box["width"] / 2 + 10 * across,
+        "clientY": box["y"] + box["height"] / 2 - 10 * scale,
+    }
+    found = page.evaluate("(event) => pixelAt(event)", middle)
+    assert abs(found["x"] - SHAPE[1] / 2 - 10) <= 1 and abs(found["y"] - SHAPE[0] / 2 + 10) <= 1
+    # What lies under the pointer stays there while it zooms.
+    page.evaluate("view.zoom = 3; view.x = 5; view.y = 2")
+    page.mouse.move(middle["clientX"], middle["clientY"])
+    before = page.evaluate("(event) => pixelAt(event)", middle)
+    page.mouse.wheel(0, -200)
+    page.wait_for_function("view.zoom > 3")
+    after = page.evaluate("(event) => pixelAt(event)", middle)
+    assert abs(before["x"] - after["x"]) <= 1 and abs(before["y"] - after["y"]) <= 1
+
+
+def test_focus_on_the_sky_leaves_the_slider_of_use(page):
+    before = float(page.get_attribute("#focus", "max"))
+    page.evaluate("handlers.focus({ focus: 1e9, keep: false })")
+    assert page.evaluate("settings.focus") == 1e9 and float(page.get_attribute("#focus", "max")) == before
+    act(page, lambda: page.click("#reset"))
+
+
+def test_a_narrow_page_has_the_settings_below_the_picture(page):
+    page.set_viewport_size({"width": 420, "height": 800})
+    panel, picture = (page.locator(each).bounding_box() for each in ("aside", "main"))
+    assert panel["y"] >= picture["y"] + picture["height"] and picture["width"] == panel["width"] == 420
+
+
+def test_errors_name_settings_as_the_page_does(page):
+    page.locator("label:has(#far)").locator("input").fill("5")
+    page.locator("#far").press("Enter")
+    page.wait_for_function("document.getElementById('status').textContent.startsWith('Sharp from and to is')")
+    assert page.get_attribute("#status", "class") == "wrong"
+    act(page, lambda: page.click("#reset"))
+
+
+def test_what_is_left_out_stands_apart_from_the_number_of_layers(page):
+    assert re.search(r"\), \d+ layers?(, left out: |$)", page.inner_text("#status"))
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        lambda page: page.click("#save"),
+        lambda page: page.click("#picture"),
+        lambda page: set_range(page, "f-number", 3, "input", "change"),
+    ],
+)
+def test_it_is_told_that_the_program_has_ended_whatever_is_done_then(page, action):
+    page.evaluate("socket.close()")
+    page.wait_for_function("document.getElementById('status').textContent.includes('has ended')")
+    page.route("**/save.exr*", lambda route: route.abort())
+    page.evaluate("say('')")
+    action(page)
+    page.wait_for_function("document.getElementById('status').textContent.includes('has ended')")
 
 
 def test_a_wrong_token_shows_no_page(chromium, command):

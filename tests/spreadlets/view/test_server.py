@@ -184,7 +184,7 @@ def test_a_probe_tells_what_is_known_of_a_pixel(server, frame):
 def test_errors_of_rendering_are_told_and_the_page_goes_on(server):
     with live(server) as page:
         ask(page, 1, blades=2)
-        assert "blades is 2" in receive(page, "error", lambda message: message.get("number") == 1)[0]["text"]
+        assert "Blades is 2" in receive(page, "error", lambda message: message.get("number") == 1)[0]["text"]
         ask(page, 2)
         full(page, 2)
 
@@ -226,8 +226,9 @@ def test_an_image_may_be_the_psf_once_it_was_sent(server):
     settings = server._settings({"settings": {"kernel": kernel}})
     assert settings.model(moving=True) == sp.models.Stylized(image=server.studio.kernels[kernel])
     for bad in (b"no picture", b"", file.getvalue()[:40]):
-        with pytest.raises(urllib.error.HTTPError, match="400"):
+        with pytest.raises(urllib.error.HTTPError, match="400") as refused:
             fetch(server, "/kernel", data=bad)
+        assert refused.value.read().startswith(b"the image: ")
 
 
 def test_closing_the_page_leaves_no_thread_even_amid_a_rendering(server):

@@ -31,6 +31,12 @@ def test_unchanged_settings_are_the_camera_and_no_options():
     assert settings().options() == {} and settings().model(moving=True) is None
 
 
+def test_a_camera_at_infinity_stays_there():
+    far = replace(CAMERA, focus_distance_m=np.inf)
+    chosen = Settings.of_camera(far)
+    assert chosen.camera(far) == far and "--focus inf" in chosen.command_line(["frame.exr"], None, far)
+
+
 def test_each_setting_reaches_the_camera_the_options_or_the_aperture():
     camera = settings(f_number=4, focal_length=50, focus=3, shutter=90).camera(CAMERA)
     assert camera == replace(CAMERA, f_number=4, focal_length_mm=50, focus_distance_m=3, shutter=(0.125, 0.375))
@@ -94,6 +100,25 @@ def test_the_command_line_makes_the_same_picture(files, tmp_path, monkeypatch):
     frame = sp.read_frame("frame.exr")
     expected = sp.synthesize(frame, chosen.camera(base), **chosen.options())
     np.testing.assert_allclose(sp.read_image(tmp_path / "out.exr"), expected, atol=1e-4)
+
+
+def test_a_camera_that_moves_goes_on_moving_while_its_lens_is_chosen():
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    begin = sp.LensKey(-0.25, focus_distance_m=2.0, camera_to_world=np.eye(4))
+    moving = replace(CAMERA, keys=(begin, sp.LensKey(0.25, f_number=4.0), sp.LensKey(0.25, camera_to_world=aside)))
+    found = settings(focus=3).camera(moving)
+    assert found.moves_picture and found.pose_at(0.25)[0][3] == 0.5
+    assert found.at(-0.25).focus_distance_m == found.at(0.25).focus_distance_m == 3.0
+    assert found.at(0.25).f_number == CAMERA.f_number
+
+
+def test_cameras_of_a_sequence_hold_the_cameras_move(tmp_path):
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    moving = replace(CAMERA, keys=(sp.LensKey(0.0, camera_to_world=np.eye(4)), sp.LensKey(0.5, camera_to_world=aside)))
+    (tmp_path / "camera.json").write_text(camera_files(moving, [[8, 2.0]])["camera.0008.json"])
+    assert read_camera(tmp_path / "camera.json") == replace(moving, focus_distance_m=2.0)
 
 
 def test_focus_keys_become_a_camera_for_each_frame(tmp_path):

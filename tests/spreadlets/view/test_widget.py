@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,20 @@ def test_a_click_focuses_and_what_is_not_allowed_is_told(look):
     made._receive(made, {"settings": {"f_number": -1.0}}, [])
     assert "f_number is -1" in wait_for(sent, lambda message: message["type"] == "error")[0]["text"]
     assert made.camera.f_number == CAMERA.f_number
+
+
+def test_a_click_on_the_sky_focuses_there_and_sliders_reach_what_the_camera_has():
+    depth = np.full((24, 32), np.inf)
+    depth[:12] = 2.0
+    camera = replace(CAMERA, f_number=0.25, focus_distance_m=60.0)
+    made = sp.widget(sp.Frame(np.ones((24, 32, 3)), depth), camera)
+    sent = []
+    made.send = lambda message, buffers=None: sent.append((message, buffers))
+    assert made.ranges["f_number"] == (0.25, 32.0) and made.ranges["focus"] == (1.0, 60.0)
+    made._receive(made, {"click": [5, 20]}, [])
+    wait_for(sent, whole)
+    assert made.camera.focus_distance_m == np.inf
+    made.close()
 
 
 def test_closing_leaves_no_thread():
