@@ -168,7 +168,7 @@ def synthesize_all(
     else:
         closed = is_opaque(frame.layers[-1].radiance)
         defocus = options.defocus and _has_defocus(database)
-        effects = Effects(defocus, options.motion, database.grid.model.has_motion, options)
+        effects = Effects(defocus, options.motion, database.grid.model.has_motion, options, stretches=not closed)
         draw = partial(plan_pixels, database=database, options=options, dense_psf=dense_psf, exact_psf=exact_psf)
         given = camera, effects, options, draw, clock, tally, split
         if len(shown[0]) == 1:
@@ -237,10 +237,12 @@ def _drawn_in_layers(
     """Draw frames that come in layers, all by the plans of the first, whose last layer is opaque if ``closed``."""
     with clock.step("plan"):
         shared = [SharedSurfaces(split) for _ in shown[0]]
+        # The last layer is divided by its cover if it is opaque; the others never are.
+        each_effects = [*[effects._replace(stretches=True)] * (len(shared) - 1), effects]
         given = [
             [
-                surface_pixels(frame_surfaces(layer, camera, effects, each), camera, effects)
-                for layer, each in zip(layers, shared, strict=True)
+                surface_pixels(frame_surfaces(layer, camera, own, each), camera, own)
+                for layer, each, own in zip(layers, shared, each_effects, strict=True)
             ]
             for layers in shown
         ]

@@ -9,7 +9,7 @@ enough to make one streak.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,12 +45,16 @@ AS_IT_IS = Controls()
 
 
 class Effects(NamedTuple):
-    """What is drawn: the defocus, the motion; whether PSFs are swept along paths; how the lens is changed."""
+    """What is drawn: the defocus, the motion; whether PSFs are swept along paths; how the lens is changed.
+
+    And whether what motion stretches covers more, see `runtime.label.stretch`: not what is divided by its cover anyway.
+    """
 
     defocus: bool
     motion: bool
     swept: bool
     controls: Controls = AS_IT_IS
+    stretches: bool = False
 
 
 def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> Iterator[Pixels]:
@@ -186,6 +190,13 @@ def _places(layer: Layer, time: float) -> Image:
     return curved_places(layer.motion_prev, layer.motion_next, np.full(layer.shape, time, np.float32))
 
 
+def places_at(layer: Layer, camera: ThinLens, time: float) -> Image:
+    """Return where pixels are at a time of the shutter, (H, W, 2), px (dx, dy) from where the frame shows them."""
+    place = _places(layer, time)
+    later = _later(camera, np.arange(len(place)), len(place))
+    return place if later is None else place + layer.motion * later[:, None, None]
+
+
 def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
     """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
     place = np.empty_like(before)
@@ -195,12 +206,18 @@ def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
 
 def rolled(layer: Layer, labels: Labels, camera: ThinLens) -> Labels:
     """Return labels whose pixels lie where they are when their row is read out (rolling shutter)."""
-    height = labels.view.frame_shape[0]
-    if not camera.readout_frames or height < 2 or not layer.has_motion:
+    if not layer.has_motion:
         return labels
-    rows = np.arange(labels.coc.shape[0], dtype=np.float32)[:, None]
-    if labels.view.places is not None:
-        rows = labels.view.places.at[..., 0].astype(np.float32)
-    later = np.float32(camera.readout_frames) * (rows / np.float32(height - 1) - np.float32(0.5))
+    rows = np.arange(labels.coc.shape[0])[:, None] if labels.view.places is None else labels.view.places.at[..., 0]
+    later = _later(camera, rows, labels.view.frame_shape[0])
+    if later is None:
+        return labels
     moved = layer.motion * later[..., None]
     return labels._replace(shift=moved if labels.shift is None else labels.shift + moved)
+
+
+def _later(camera: ThinLens, rows: npt.NDArray[np.integer[Any]], height: int) -> FloatArray | None:
+    """Return how much later than the middle one rows are read out, frames; None if all are at once."""
+    if not camera.readout_frames or height < 2:
+        return None
+    return np.float32(camera.readout_frames) * (rows.astype(np.float32) / np.float32(height - 1) - np.float32(0.5))

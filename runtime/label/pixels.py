@@ -13,6 +13,7 @@ from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, Places, camera_view
 from spreadlets.runtime.label.lists import Pixels, joined
 from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled
+from spreadlets.runtime.label.stretch import stretch
 from spreadlets.runtime.label.surfaces import Split, Surface, split_surfaces, undivided
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
@@ -65,8 +66,15 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
     """
     middle = camera.at(camera.shutter_centre)
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
-    surfaces = (split if is_blurred else undivided)(layer, middle)
-    return [labelled(each, layer.shape, camera, effects) for each in surfaces]
+    surfaces = list((split if is_blurred else undivided)(layer, middle))
+    found = [labelled(each, layer.shape, camera, effects) for each in surfaces]
+    area = stretch(layer, camera) if effects.stretches and effects.motion and layer.has_motion else None
+    if area is None:
+        return found
+    return [
+        (own, pixels._replace(radiance=pixels.radiance * each.taken(area)[..., None]))
+        for each, (own, pixels) in zip(surfaces, found, strict=True)
+    ]
 
 
 def labelled(surface: Surface, shape: tuple[int, int], camera: ThinLens, effects: Effects) -> Labelled:
