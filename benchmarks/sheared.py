@@ -253,7 +253,7 @@ def speed(report: Report, scene: Scene) -> None:
         _, figures = sp.reconstruct(buffer, scene.camera, method=method, report=True)
         used = time.process_time() - begin
         goal = f"< {GOAL_SECONDS:g}" if method == "sheared" else ""
-        layers = figures["plan"]["layers_per_tile"] if "plan" in figures else 1.0
+        layers = figures["plan"].get("layers_per_tile", 1.0)
         report.row(f"{scene.name}, {method}", f"{figures['time_s']['total']:.2f}", f"{used:.2f}", f"{layers:.1f}", goal)
 
 
