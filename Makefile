@@ -7,16 +7,18 @@ BIN := $(VENV)/bin
 .PHONY: demo test docs clean databases kernels scenes
 
 # What is imported is kept as bytecode, even where the environment forbids it: installing with --no-compile leaves none, and each
-# run would take a second longer.
+# of many processes would take a second longer.
+export PYTHONDONTWRITEBYTECODE :=
+
 demo: $(VENV)/.installed
-	PYTHONDONTWRITEBYTECODE= $(BIN)/spreadlets demo -o demo_output
+	$(BIN)/spreadlets demo -o demo_output
 
 test: $(VENV)/.installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m interpreted
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m interpreted $$(grep -rl mark.interpreted tests)
 
 # The documentation, as a site in site/.
 docs: $(VENV)/.installed-docs
