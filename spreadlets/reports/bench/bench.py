@@ -8,6 +8,7 @@ import json
 import math
 import os
 import platform
+import shutil
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -35,6 +36,8 @@ MOST_SECONDS, QUICK_MOST_SECONDS = 30.0, 4.0
 """A contender that has taken so long is not timed again: three dense images, say, where others are timed five times."""
 FEWEST_RUNS = 2
 PACKAGES = (".", "runtime", "precompute")
+DATABASES = "databases"
+"""Folder of the databases that are built for the frames."""
 
 Progress = Callable[[int, int], None]
 
@@ -142,10 +145,13 @@ def run_bench(
     except OSError as error:
         raise InvalidParameterError(f"cannot write to {str(output)!r}: {error}") from error
     notebook = Notebook(output, conditions(quick), fresh=fresh)
+    if not notebook.rows:
+        # They hold what frames needed when they were built.
+        shutil.rmtree(output / DATABASES, ignore_errors=True)
     rounds = QUICK_ROUNDS if quick else ROUNDS
     done, names, report = 0, [], {}
     for subject in subjects:
-        listed = list(contenders(subject, output / "databases", quick=quick))
+        listed = list(contenders(subject, output / DATABASES, quick=quick))
         total = len(subjects) * len(listed) * (rounds + 1)
 
         def step(total: int = total) -> None:

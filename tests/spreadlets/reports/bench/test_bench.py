@@ -160,10 +160,13 @@ def test_an_interrupted_run_goes_on_and_a_fresh_one_does_not(folder, monkeypatch
     counted(monkeypatch)
     run_bench(subjects_in(folder), out)
     runs = counted(monkeypatch)
+    built = out / bench.DATABASES / "of_an_older_frame.h5"
+    built.parent.mkdir(exist_ok=True)
+    built.touch()
     run_bench(subjects_in(folder), out)
-    assert runs == {"good": 0, "noisy": 0, "broken": 0}
+    assert runs == {"good": 0, "noisy": 0, "broken": 0} and built.exists()
     run_bench(subjects_in(folder), out, fresh=True)
-    assert runs["good"] == 1 + bench.ROUNDS
+    assert runs["good"] == 1 + bench.ROUNDS and not built.exists()
 
 
 def test_figures_of_another_source_are_dropped(tmp_path):
