@@ -56,6 +56,9 @@ def _save_plot(path: Path, groups: dict[tuple[str, str, str], list[Row]], metric
     axes = figure.subplots(len(sources), len(frames), squeeze=False)
     for (frame, _, source), group in groups.items():
         _draw_panel(axes[sources.index(source)][frames.index(frame)], group, metric, f"{frame}, from {source}")
+    for each in axes.flat:
+        # Not every frame comes from every source.
+        each.set_visible(each.has_data())
     canvas.draw()
     image = Image.frombuffer("RGBA", canvas.get_width_height(), bytes(canvas.buffer_rgba()))
     image.convert("RGB").save(path, optimize=True)
