@@ -7,6 +7,7 @@ was never scattered is known in closed form: the PSF's central pixel.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -53,6 +54,8 @@ N_BLOCKS = 8
 
 HIDING_PATHS, HIDING_SEED = 1 << 16, 0
 """Of each of the three tracings that tell what a layer hides: to .01 of `blurred_share`."""
+MOST_DISTANCES = 1 << 10
+"""Tracings that are kept: a layer meets many others, and the next frame mostly has the same."""
 LEAST_GAP = 0.01
 """Distance of two layers, as a share of the farther one's, below which what passes one meets the other."""
 
@@ -227,21 +230,22 @@ def blurred_share(model: PsfModel, near_m: float, far_m: float) -> float:
     within a radius is that of its distance from the nearer one, within as many metres.
     """
     medium, radius = Medium(**model.settings["medium"]), model.settings["psf_radius_px"]
+    lit = medium._replace(albedo=tuple(medium.albedo)), model.settings["view"]["focal_length_px"]
     near, far = (min(each, model.settings["max_distance_m"]) for each in (near_m, far_m))
     gap = far - near
     if near <= 0.0 or gap < LEAST_GAP * far:
         return 1.0
     # Find the shares that are not scattered before the nearer layer: of the farther one's light, and of its own.
     straight = math.exp(-medium.density_per_m * near)
-    passing = straight * _arriving(model, gap, radius * far / gap) / _arriving(model, far, radius)
-    own = straight / _arriving(model, near, radius)
+    passing = straight * _arriving(*lit, gap, radius * far / gap) / _arriving(*lit, far, radius)
+    own = straight / _arriving(*lit, near, radius)
     # Blur as much of the opacity that just the first share meets it right there.
     return min(max((1.0 - passing) / (1.0 - own), 0.0), 1.0)
 
 
-def _arriving(model: PsfModel, distance_m: float, radius: float) -> float:
+@functools.lru_cache(maxsize=MOST_DISTANCES)
+def _arriving(medium: Medium, focal_length_px: float, distance_m: float, radius: float) -> float:
     """Return the share of paths, in the mean of all channels, that reach a plane within a radius, px."""
-    medium, focal_length_px = Medium(**model.settings["medium"]), model.settings["view"]["focal_length_px"]
     tally = trace_paths(medium, (distance_m, distance_m), focal_length_px, radius, HIDING_PATHS, HIDING_SEED)
     return float(tally.direct + tally.rings[:-1].sum(axis=0).mean())
 

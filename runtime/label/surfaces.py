@@ -130,8 +130,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     if not starts[-1]:
         yield Surface(layer)
         return
-    # Divide them among the surfaces around them.
-    # Their colours are told by pixels of their tiles, and of those beside them.
+    # Divide them among the surfaces around them, whose colours pixels of their tiles tell, and of those beside.
     weights = weigh_pixels(place, point, layer.radiance, largest_around(mixed, 1))
     n, most = int(starts[-1]), _surface_kernels.MOST
     first = np.ones(layer.shape, np.float32), copied(layer.radiance)
@@ -270,7 +269,7 @@ class KeptSurfaces:
         self._lock = Lock()
 
     def __call__(self, layer: Layer, camera: ThinLens) -> Iterable[Surface]:
-        """Return the surfaces of a layer, see `split_surfaces`; those of a very large one are not kept."""
+        """Return the surfaces of a layer; those of a very large one are not kept."""
         if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
             return self._find(layer, camera)
         key = id(layer), _scale(layer, camera)
