@@ -21,9 +21,9 @@ from spreadlets.parallel import for_bands
 
 LEAST_BYTES = 1 << 18
 """Smaller arrays are cheap as they are."""
-MOST_IDLE_BYTES = 256 << 20
+MOST_IDLE_BYTES = 96 << 20
 """Memory that waits to be lent, at most: the canvases of a frame of some 1024 x 1024 pixels."""
-MOST_TOO_LARGE = 8
+MOST_TOO_LARGE = 2
 """A piece of memory is lent for arrays of at least its size over this."""
 SIZE_BITS = 4
 """Leading bits of the size of a piece: arrays that differ little in size take each other's place."""
@@ -82,6 +82,12 @@ class _Pool:
         while sum(map(len, self._idle)) > MOST_IDLE_BYTES:
             self._idle.pop(0)
 
+    def let_go(self) -> None:
+        """Return all idle pieces to the system."""
+        with self._lock:
+            self._sort()
+            self._idle.clear()
+
 
 _pool = _Pool()
 
@@ -112,6 +118,11 @@ def buffer(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDA
     if math.prod(shape) * kind.itemsize < LEAST_BYTES:
         return np.empty(shape, kind)
     return _pool.lend(shape, kind)
+
+
+def let_go() -> None:
+    """Return the memory that waits to be lent to the system: what comes next needs other sizes."""
+    _pool.let_go()
 
 
 def cleared(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:

@@ -14,7 +14,7 @@ from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
-from spreadlets.runtime.buffers import buffer, cleared
+from spreadlets.runtime.buffers import buffer, cleared, let_go
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.haze import BlurredShare, Haze
@@ -39,7 +39,7 @@ from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfa
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.evening import evened
-from spreadlets.runtime.plan.plan import Plan, plan_pixels
+from spreadlets.runtime.plan.plan import Drawing, Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import CAMERA, NOTHING_MOVES, VECTORS, Report, Tally, plan_figures
 from spreadlets.runtime.splat.gather import gather
@@ -207,17 +207,19 @@ def _drawn_by_depth(
             neighbours=neighbours,
             hidden=hidden,
         )
-        first, *others = divided.pixel_sets
+        first = divided.pixel_sets[0]
         plan = draw(first, n_layers=divided.layering.n_layers, layering=divided.layering)
-        plans = [plan, *(plan.coloured(each) for each in others)]
+        tally.add_plan(plan)
         visibility = (
             ShareBeyond(first, plan, divided.known, divided.n_hidden, closed=closed) if plan.n_layers > 1 else None
         )
-        # What the pixels were labelled with is not needed any more.
-        del divided, first, others
+        drawings = [plan.lay_out(each) for each in divided.pixel_sets]
+        # What the pixels were labelled with, and what they were planned in, is not needed any more.
+        del divided, first, plan
+        let_go()
     # Draw all frames by that plan.
     images = [np.zeros((*shown[0].shape, 4), np.float32) for _ in shown]
-    _add_plans(images, plans, visibility, options, clock, tally, closed=closed)
+    _add_drawings(images, drawings, visibility, options, clock, tally, closed=closed)
     return images
 
 
@@ -250,17 +252,23 @@ def _drawn_in_layers(
     if options.layers is not None:
         given = [[[pixels for group in groups for pixels in group]] for groups in given]
     images = [np.zeros((*shown[0][0].shape, 4), np.float32) for _ in shown]
-    hazes = [Haze(shown[0], blurred_share) for _ in shown] if blurred_share and len(given[0]) > 1 else []
-    for number, (group, *others) in enumerate(zip(*given, strict=True)):
+    n_given = len(given[0])
+    hazes = [Haze(shown[0], blurred_share) for _ in shown] if blurred_share and n_given > 1 else []
+    for number in range(n_given):
         with clock.step("plan"):
-            plan = draw(group, n_layers=options.layers or 1)
-            plans = [plan, *(plan.coloured(each) for each in others)]
+            # What a layer was labelled with is not needed any more when it is laid out.
+            groups = [each.pop(0) for each in given]
+            plan = draw(groups[0], n_layers=options.layers or 1)
+            tally.add_plan(plan)
+            drawings = [plan.lay_out(each) for each in groups]
+            del groups, plan
             # Pixels of the farthest layer only: nearer ones are opaque, or not, where they are.
-            last = closed and number == len(given[0]) - 1
+            last = closed and number == n_given - 1
         # In a medium, what is hidden of a layer depends on how far beyond the nearer ones it lies.
         for haze, image in zip(hazes, images, strict=False):
             haze.hide(image, number)
-        _add_plans(images, plans, GivenLayer(number, overlap), options, clock, tally, closed=last)
+        _add_drawings(images, drawings, GivenLayer(number, overlap), options, clock, tally, closed=last)
+        del drawings
         for haze, image in zip(hazes, images, strict=False):
             haze.add(image)
     for haze, image in zip(hazes, images, strict=False):
@@ -269,9 +277,9 @@ def _drawn_in_layers(
     return images
 
 
-def _add_plans(
+def _add_drawings(
     images: Sequence[Image],
-    plans: Sequence[Plan],
+    drawings: Sequence[Drawing],
     visibility: Visibility | None,
     options: Options,
     clock: Clock,
@@ -279,9 +287,9 @@ def _add_plans(
     *,
     closed: bool,
 ) -> None:
-    """Put the layers of each frame's plan behind its image; those of the first are counted."""
-    for number, (image, plan) in enumerate(zip(images, plans, strict=True)):
-        _add_plan(image, plan, visibility, _solver(options), clock, Tally() if number else tally, closed=closed)
+    """Put the layers of each frame's drawing behind its image; those of the first are counted."""
+    for number, (image, drawing) in enumerate(zip(images, drawings, strict=True)):
+        _add_drawing(image, drawing, visibility, _solver(options), clock, Tally() if number else tally, closed=closed)
 
 
 def reconstruct(
@@ -331,8 +339,10 @@ def reconstruct(
         seen = replace(plan, members=plan.members[:n_samples])
         visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
+        tally.add_plan(plan)
+        drawing = plan.lay_out(drawn)
     image = np.zeros((*samples.shape, 4), np.float32)
-    _add_plan(image, plan, visibility, _solver(options), clock, tally, closed=closed)
+    _add_drawing(image, drawing, visibility, _solver(options), clock, tally, closed=closed)
     with clock.step("composite"):
         # A gain of the colours alone would part them from an alpha that is as inexact.
         if closed and options.calibrate and _shows_samples(samples, camera, database, options):
@@ -397,21 +407,28 @@ def _clamped_samples(pixel_sets: list[Pixels], factor: float) -> tuple[list[Pixe
     return [each._replace(radiance=colour) for each, colour in zip(pixel_sets, colours, strict=True)], count
 
 
-def _add_plan(
-    image: Image, plan: Plan, visibility: Visibility | None, solver: Solver, clock: Clock, tally: Tally, *, closed: bool
+def _add_drawing(
+    image: Image,
+    drawing: Drawing,
+    visibility: Visibility | None,
+    solver: Solver,
+    clock: Clock,
+    tally: Tally,
+    *,
+    closed: bool,
 ) -> None:
-    """Put the layers of a plan behind an image, in place."""
+    """Put the layers of a drawing behind an image, in place."""
     # List the runs of each layer.
     with clock.step("splat"):
-        sources = [[find_runs(each, plan.table, plan.n_layers) for each in levels] for levels in plan.sources]
+        sources = [[find_runs(each, drawing.table, drawing.n_layers) for each in levels] for levels in drawing.sources]
     # Go through the layers that draw anything, nearest first.
     used = [
         k
-        for k in range(plan.n_layers)
+        for k in range(drawing.n_layers)
         if any(len(runs.of(GROUPS * k + group)) for levels in sources for runs in levels for group in range(GROUPS))
     ]
     for number in used:
-        covered, canvas, padded = _splat_layer(sources, number, plan, image.shape, solver, clock)
+        covered, canvas, padded = _splat_layer(sources, number, drawing, image.shape, solver, clock)
         last = closed and number == used[-1]
         # Normalise the layer by its visibility, and put it behind the image.
         with clock.step("composite"):
@@ -421,22 +438,22 @@ def _add_plan(
             seen = NOTHING if seen is None else seen
             beyond = NOTHING if visibility is None or last else visibility.beyond(number)
             placed = (canvas.top, canvas.left), kind
-            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=plan.corner)
+            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=drawing.corner)
             # The next layer is drawn where this one was.
             del padded, seen, beyond
         tally.add_canvas(covered, image.shape)
-    tally.add_plan(plan, len(used))
+    tally.add_drawing(drawing, len(used))
 
 
 def _splat_layer(
-    sources: list[list[Runs]], number: int, plan: Plan, shape: tuple[int, ...], solver: Solver, clock: Clock
+    sources: list[list[Runs]], number: int, drawing: Drawing, shape: tuple[int, ...], solver: Solver, clock: Clock
 ) -> tuple[Canvas, Canvas, Image]:
     """Return what a layer's splats cover, and the canvas and the image of their sum, as far as a frame shows it."""
     flat = [each for levels in sources for each in levels]
     # Find what each group covers; what is shown lies on one canvas.
     with clock.step("splat"):
         canvases = {
-            group: canvas_of(flat, GROUPS * number + group, plan.table, margin, plan.corner)
+            group: canvas_of(flat, GROUPS * number + group, drawing.table, margin, drawing.corner)
             for group, margin in enumerate((*(SOLVER_MARGIN * stride for stride in STRIDES), 0))
         }
         covered = {group: canvas for group, canvas in canvases.items() if canvas is not None}
@@ -444,7 +461,7 @@ def _splat_layer(
         shown = union(seen)
     # Draw sparse Laplacians, and integrate them; what is smooth is done by coarser pixels.
     drawn = [
-        (canvas, STRIDES[group], _integrated(sources, number, group, plan, canvas, solver, clock))
+        (canvas, STRIDES[group], _integrated(sources, number, group, drawing, canvas, solver, clock))
         for group, canvas in covered.items()
         if group != DIRECT
     ]
@@ -458,16 +475,16 @@ def _splat_layer(
     with clock.step("splat"):
         # Add small PSFs and exact highlights on top.
         for levels in sources:
-            splat_direct(padded, shown, levels[0], GROUPS * number + DIRECT, plan.table)
+            splat_direct(padded, shown, levels[0], GROUPS * number + DIRECT, drawing.table)
     return union(list(covered.values())), shown, padded
 
 
 def _integrated(
-    sources: list[list[Runs]], number: int, group: int, plan: Plan, canvas: Canvas, solver: Solver, clock: Clock
+    sources: list[list[Runs]], number: int, group: int, drawing: Drawing, canvas: Canvas, solver: Solver, clock: Clock
 ) -> Image:
     """Draw a group of a layer's sparse Laplacians, and return the image that they are of."""
     with clock.step("splat"):
-        laplacian = splat_laplacian(canvas, sources, GROUPS * number + group, plan.table, STRIDES[group])
+        laplacian = splat_laplacian(canvas, sources, GROUPS * number + group, drawing.table, STRIDES[group])
     with clock.step("integrate"):
         return solver(laplacian, buffer(laplacian.shape))
 
@@ -495,14 +512,16 @@ def _filtered(
             # A filter has no place to move light to.
             unmoved = pixels._replace(labels=pixels.labels._replace(shift=None))
             plan = plan_pixels([unmoved], database, options, 1, border=False, dense_psf=dense_psf, shared=False)
+            drawing = plan.lay_out([unmoved])
+            tally.add_plan(plan)
         with clock.step("splat"):
             # All that is filtered counts, also where nothing is drawn.
             filtered = np.zeros_like(image)
-            if plan.sources:
-                filtered = gather(plan.sources[0][0]._replace(radiance=pixels.radiance), plan.table)
+            if drawing.sources:
+                filtered = gather(drawing.sources[0][0]._replace(radiance=pixels.radiance), drawing.table)
         with clock.step("composite"):
             add_layer(image, filtered, (0, 0), COVERAGE)
-        tally.add_plan(plan, 1)
+        tally.add_drawing(drawing, 1)
     return image
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from spreadlets.psf.database import Database
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.memory import peak_rss_mb
-from spreadlets.runtime.plan.plan import Plan
+from spreadlets.runtime.plan.plan import Drawing, Plan
 from spreadlets.runtime.splat.passes import Canvas
 
 VECTORS, CAMERA, NOTHING_MOVES = "vectors", "camera", "none"
@@ -85,15 +86,26 @@ class Tally:
     """The figures of a run, over all its plans."""
 
     def __init__(self) -> None:
-        self.plans: list[Plan] = []
+        self.cells_used: set[int] = set()
+        self.pixels_skipped = 0
+        self.left_out: list[list[str]] = []
+        self.counts: Counter[str] = Counter()
+        self.error_bound = 0.0
         self.layers = 0
         self.padding = 0
         self.clamped = 0
         self.motion_from = NOTHING_MOVES
 
-    def add_plan(self, plan: Plan, n_layers: int) -> None:
-        """Add a plan and how many layers it drew."""
-        self.plans.append(plan)
+    def add_plan(self, plan: Plan) -> None:
+        """Note what a plan needs."""
+        self.cells_used |= plan.cells_used
+        self.pixels_skipped += plan.pixels_skipped
+        self.left_out.append(plan.left_out)
+
+    def add_drawing(self, drawing: Drawing, n_layers: int) -> None:
+        """Note what was drawn, in how many layers."""
+        self.counts.update(drawing.counts())
+        self.error_bound = max(self.error_bound, drawing.error_bound)
         self.layers += n_layers
 
     def add_canvas(self, canvas: Canvas, shape: tuple[int, ...]) -> None:
@@ -131,18 +143,16 @@ class Report(Record):
 
 def plan_figures(tally: Tally, database: Database) -> PlanFigures:
     """Sum the figures of all plans of a run."""
-    plans = tally.plans
-    counts = [plan.counts() for plan in plans]
-    left_out = set.intersection(*(set(plan.left_out) for plan in plans))
+    first, *others = tally.left_out
     return PlanFigures(
-        **{name: sum(count[name] for count in counts) for name in counts[0]},
+        **tally.counts,
         layers=tally.layers,
-        cells_used=len(set.union(*(plan.cells_used for plan in plans))),
+        cells_used=len(tally.cells_used),
         cells_total=database.n_cells,
         pixels_clamped=tally.clamped,
-        pixels_skipped=sum(plan.pixels_skipped for plan in plans),
-        error_bound=max(plan.error_bound for plan in plans),
+        pixels_skipped=tally.pixels_skipped,
+        error_bound=tally.error_bound,
         padding_px=tally.padding,
-        left_out=[name for name in plans[0].left_out if name in left_out],
+        left_out=[name for name in first if all(name in each for each in others)],
         motion_from=tally.motion_from,
     )

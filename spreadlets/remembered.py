@@ -41,11 +41,14 @@ class Remembered(Generic[Found]):
         if known is not None and known[0]() is array:
             return known[1]
         found = self._function(array)
-        # When the array goes, so does what is known of it.
-        self._known[key] = weakref.ref(array, lambda gone: self._forget(key, gone)), found
+        # When the array goes, so does what is known of it; and when this goes, all of it does.
+        itself = weakref.ref(self)
+        self._known[key] = weakref.ref(array, lambda gone: _forget(itself, key, gone)), found
         return found
 
-    def _forget(self, key: int, gone: weakref.ref[npt.NDArray[Any]]) -> None:
-        known = self._known.get(key)
-        if known is not None and known[0] is gone:
-            del self._known[key]
+
+def _forget(remembered: weakref.ref[Remembered[Any]], key: int, gone: weakref.ref[npt.NDArray[Any]]) -> None:
+    owner = remembered()
+    known = None if owner is None else owner._known.get(key)
+    if owner is not None and known is not None and known[0] is gone:
+        del owner._known[key]

@@ -47,7 +47,7 @@ MOST_PROXIES = 4
 
 
 class Renderer:
-    """A frame and a database: what does not depend on the camera is done once, and kept.
+    """A frame and a database: what does not depend on the camera is kept, from the second picture on.
 
     Parameters
     ----------

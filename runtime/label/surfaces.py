@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from threading import Lock
 from typing import Any, NamedTuple
+from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
@@ -257,6 +258,8 @@ def _is_bright(surface: Surface) -> BoolArray:
 class KeptSurfaces:
     """Splits layers, and keeps what it found: focus and shutter do not change it. It may be used from several threads.
 
+    What a layer is split into is kept from the second time on: a single picture needs the memory for other things.
+
     Parameters
     ----------
     split : callable
@@ -265,6 +268,7 @@ class KeptSurfaces:
 
     def __init__(self, split: Split) -> None:
         self._find = split
+        self._asked = WeakSet[Layer]()
         self._kept: OrderedDict[tuple[int, float], tuple[Layer, list[Surface]]] = OrderedDict()
         self._lock = Lock()
 
@@ -277,6 +281,10 @@ class KeptSurfaces:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key][1]
+            is_first = layer not in self._asked
+            self._asked.add(layer)
+        if is_first:
+            return self._find(layer, camera)
         found = list(self._find(layer, camera))
         with self._lock:
             # The layer is kept as long as its number stands for it.

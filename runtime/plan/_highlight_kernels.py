@@ -198,45 +198,74 @@ def listed_excess(begin, end, light, at, frame_excess, level, ratio, excess):
 
 
 @kernel
-def sources_of_light(begin, end, light, excess, ratio, source):
+def sources_of_light(begin, end, at, light, ratio, source):
     """Find the pixels that the light of those that stand out is from: of a much brighter neighbour, or their own.
 
     Along the edge of a lamp pixels are blends: their light is the lamp's, their depth may be of what is behind.
 
     Parameters
     ----------
-    light, excess : ndarray of shape (H, W), float32
-        See `brightest` and `standing_out`.
+    at : ndarray of shape (n,), int64
+        Places of pixels in the flattened frame.
+    light : ndarray of shape (H, W), float32
+        See `brightest`.
     ratio : float
         How many times as bright a neighbour must be.
-    source : ndarray of shape (H, W), int64
-        Filled with their places in the flattened frame.
+    source : ndarray of shape (n,), int64
+        Filled with the places that their light is from.
     """
     height, width = light.shape
-    for row in range(begin, end):
-        for col in range(width):
-            here, there = row * width + col, -1
-            source[row, col] = here
-            # What does not stand out is its own source.
-            if excess[row, col] == 0.0:
-                continue
-            # Climb to the brightest neighbour while that is much brighter.
-            for _ in range(EDGE_WIDTH):
-                y, x = here // width, here % width
-                there = here
-                for i in range(max(y - 1, 0), min(y + 2, height)):
-                    for j in range(max(x - 1, 0), min(x + 2, width)):
-                        if light[i, j] > light[there // width, there % width]:
-                            there = i * width + j
-                if light[there // width, there % width] <= ratio * light[y, x]:
-                    break
-                here = there
-            source[row, col] = here
+    for number in range(begin, end):
+        # Climb to the brightest neighbour while that is much brighter.
+        here = at[number]
+        for _ in range(EDGE_WIDTH):
+            y, x = here // width, here % width
+            there = here
+            for i in range(max(y - 1, 0), min(y + 2, height)):
+                for j in range(max(x - 1, 0), min(x + 2, width)):
+                    if light[i, j] > light[there // width, there % width]:
+                        there = i * width + j
+            if light[there // width, there % width] <= ratio * light[y, x]:
+                break
+            here = there
+        source[number] = here
+
+
+@helper
+def _code(key, excess, labels, steps, limits, row, col):
+    """Return a pixel's labels, rounded and packed; `NOT_ALONE` if it is no highlight."""
+    if key[row, col] == INVISIBLE or excess[row, col] == 0.0:
+        return NOT_ALONE
+    radius = abs(np.float64(labels.coc[row, col]))
+    area = max(math.pi * radius * radius + 2.0 * radius * np.float64(labels.length[row, col]), 1.0)
+    if excess[row, col] <= limits[0] * area or area > limits[1]:
+        return NOT_ALONE
+    n_steps = np.int64(steps.radius * math.sqrt(radius) + 0.5)
+    is_thin = (n_steps / steps.radius) ** 2 < steps.thin_radius
+    step_px = 0.5 * steps.longest if is_thin else steps.longest
+    packed = 2 * n_steps
+    if steps.sided and labels.coc[row, col] < 0.0:
+        packed += 1
+    for axis in range(2):
+        place = np.float64(labels.heading[row, col, axis]) / step_px
+        # Halves away from 0: mirror images are rounded to mirror images.
+        step = np.int64(math.copysign(math.floor(abs(place) + 0.5), place))
+        packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)
+    return packed
 
 
 @kernel
-def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
-    """Pack the labels of highlights, rounded, into codes.
+def count_highlights(begin, end, key, excess, labels, steps, limits, counts):
+    """Fill ``counts`` (H,), int64, with the number of highlights in each row; see `list_highlights`."""
+    for row in range(begin, end):
+        counts[row] = 0
+        for col in range(key.shape[1]):
+            counts[row] += _code(key, excess, labels, steps, limits, row, col) != NOT_ALONE
+
+
+@kernel
+def list_highlights(begin, end, key, excess, labels, steps, limits, first, at, code):
+    """List the highlights, with their labels, rounded, packed into codes.
 
     Parameters
     ----------
@@ -248,27 +277,16 @@ def highlight_codes(begin, end, key, excess, labels, steps, limits, code):
     steps : CodeSteps
     limits : tuple of two floats
         Change of the display under a PSF from which a pixel is a highlight; largest area of a PSF, px.
-    code : ndarray of shape (H, W), int64
-        Filled; `NOT_ALONE` where the pixel is no highlight.
+    first : ndarray of shape (H,), int64
+        Where each row's begin in the list.
+    at, code : ndarray of shape (n,), int64
+        Filled with their places in the flattened frame, ascending, and their codes.
     """
+    width = key.shape[1]
     for row in range(begin, end):
-        for col in range(key.shape[1]):
-            code[row, col] = NOT_ALONE
-            if key[row, col] == INVISIBLE or excess[row, col] == 0.0:
-                continue
-            radius = abs(np.float64(labels.coc[row, col]))
-            area = max(math.pi * radius * radius + 2.0 * radius * np.float64(labels.length[row, col]), 1.0)
-            if excess[row, col] <= limits[0] * area or area > limits[1]:
-                continue
-            n_steps = np.int64(steps.radius * math.sqrt(radius) + 0.5)
-            is_thin = (n_steps / steps.radius) ** 2 < steps.thin_radius
-            step_px = 0.5 * steps.longest if is_thin else steps.longest
-            packed = 2 * n_steps
-            if steps.sided and labels.coc[row, col] < 0.0:
-                packed += 1
-            for axis in range(2):
-                place = np.float64(labels.heading[row, col, axis]) / step_px
-                # Halves away from 0: mirror images are rounded to mirror images.
-                step = np.int64(math.copysign(math.floor(abs(place) + 0.5), place))
-                packed = (packed << HEADING_BITS) + min(max(step + HEADING_ZERO, 0), 2 * HEADING_ZERO - 1)
-            code[row, col] = packed
+        number = first[row]
+        for col in range(width):
+            packed = _code(key, excess, labels, steps, limits, row, col)
+            if packed != NOT_ALONE:
+                at[number], code[number] = row * width + col, packed
+                number += 1

@@ -239,7 +239,7 @@ def variant_keys(begin, end, colour, coordinate, pose, grid, sizes, key, excess)
 
 
 @kernel
-def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes, apart, key):
+def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes, key):
     """Let blocks of bright pixels under wide PSFs share out the cells about their coordinate.
 
     Parameters
@@ -250,10 +250,8 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
     coordinate, pose, grid, sizes
         See `variant_keys`.
     places : PixelPlaces
-    apart : ndarray of shape (H, W), int32
-        Not negative where a pixel keeps its key.
     key : ndarray of shape (H, W), int64
-        Changed in place.
+        Changed in place; those up to `SHARP` are kept.
     """
     heading, coc, _, codes = pose
     _, _, unit_cell, bounds, cell_start = grid
@@ -263,7 +261,7 @@ def share_out(begin, end, radiance, limit, coordinate, pose, places, grid, sizes
     for row in range(begin, end):
         for col in range(radiance.shape[1]):
             r, g, b = radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2]
-            if key[row, col] <= SHARP or apart[row, col] >= 0 or max(r, g, b) <= limit:
+            if key[row, col] <= SHARP or max(r, g, b) <= limit:
                 continue
             # Small PSFs show no block.
             one, other = abs(np.float64(ones[row, col])), abs(np.float64(others[row, col]))

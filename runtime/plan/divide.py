@@ -79,6 +79,7 @@ def divide_frames(
     seen = [surface_pixels(each, camera, effects) for each in (surfaces, *further)]
     drawn = [(each.labels, _drawn(each)) for each in seen[0]]
     layering = Layering.fitted(drawn[:1], most, softness, drawn[1:])
+    del drawn
     if layering.n_layers == 1 or not hidden:
         return Divided(seen, 0, layering, np.zeros(layers[0].shape, np.uint64))
     # Find what nearer ones hide of each.

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import BoolArray, DoubleArray, FloatArray, Image, IntArray
+from spreadlets.arrays import NOTHING, BoolArray, DoubleArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.psf.exact import RADIUS_STEPS, THIN_RADIUS_PX, ExactPsf, heading_steps, longest_step
 from spreadlets.psf.model import PsfModel
@@ -55,16 +55,16 @@ class Highlights(NamedTuple):
 
     Attributes
     ----------
-    number : list of ndarrays of shape (H, W), int32
-        For each set, which of the PSFs is each pixel's; -1 for the others.
     places : list of ndarrays of shape (n,), int64
-        For each set, the numbers in raster order of the pixels that have one.
+        For each set, the numbers in raster order of the pixels that have one, ascending.
+    number : list of ndarrays of shape (n,), int32
+        Which of the PSFs is theirs.
     psfs : list of Spreadlet
         Direct points, their rows ascending.
     """
 
-    number: list[npt.NDArray[np.int32]]
     places: list[IntArray]
+    number: list[npt.NDArray[np.int32]]
     psfs: list[Spreadlet]
 
     def dimmed(self, pixel_sets: Sequence[Pixels]) -> list[Pixels]:
@@ -93,7 +93,7 @@ class Highlights(NamedTuple):
             Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
         """
         lights = [
-            _Lights.of(pixels, member, at, number.ravel()[at] + np.int32(first_variant))
+            _Lights.of(pixels, member, at, number + np.int32(first_variant))
             for pixels, member, at, number in zip(pixel_sets, members, self.places, self.number, strict=True)
             if len(at)
         ]
@@ -127,15 +127,17 @@ def find_highlights(
         Whether the pixels are samples, which may be missing.
     """
     if exact_psf is None:
-        return Highlights([np.full(key.shape, -1, np.int32) for key in keys], [np.zeros(0, np.int64) for _ in keys], [])
+        return Highlights([np.zeros(0, np.int64) for _ in keys], [np.zeros(0, np.int32) for _ in keys], [])
     lights = _lights(pixel_sets, stochastic)
     found = zip(pixel_sets, keys, lights, strict=True)
-    codes = [_codes(pixels, key, light.excess, model) for pixels, key, light in found]
-    alone = _from_sources(pixel_sets, keys, codes, lights)
-    used, number = _numbered(alone, [key.shape for key in keys])
+    listed = [_listed(pixels, key, light.excess, model) for pixels, key, light in found]
+    alone = _from_sources(pixel_sets, keys, listed, lights)
+    used, number = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
+    ends = np.cumsum([len(at) for at, _ in alone])[:-1]
     view = pixel_sets[0].labels.view
     coordinates = _coordinates(used, model, view)
-    return Highlights(number, [at for at, _ in alone], list(exact_psf(*coordinates)) if len(used) else [])
+    psfs = list(exact_psf(*coordinates)) if len(used) else []
+    return Highlights([at for at, _ in alone], np.split(number.astype(np.int32), ends), psfs)
 
 
 def _dimmed(pixels: Pixels, highlights: IntArray) -> Pixels:
@@ -210,12 +212,19 @@ class _Lights(NamedTuple):
 
 
 class _Light(NamedTuple):
-    """What the colours of some sets say: how far each pixel stands out, from what, and where its light is from."""
+    """What the colours of some sets say: how far each pixel stands out, and from what.
+
+    Attributes
+    ----------
+    excess, level : ndarray of shape (H, W), float32
+        See the kernels.
+    light : ndarray of shape (H, W), float32
+        How bright each pixel is; empty where all light is the pixel's own.
+    """
 
     excess: FloatArray
     level: FloatArray
-    source: IntArray
-    """See the kernels; each (H, W), the source empty for a list."""
+    light: FloatArray
 
 
 def _lights(pixel_sets: Sequence[Pixels], stochastic: bool) -> list[_Light]:
@@ -238,9 +247,7 @@ def _light(radiance: Image, stochastic: bool) -> _Light:
     planes = light, _row_sums(light), counts
     for_bands(_highlight_kernels.standing_out, n_stripes, *planes, HALF_WIDTHS, limits, excess, level)
     # Neighbours among samples have seen a lamp through other places of the lens.
-    ratio, source = np.inf if stochastic else MUCH_BRIGHTER, np.empty(shape, np.int64)
-    for_bands(_highlight_kernels.sources_of_light, shape[0], light, excess, ratio, source)
-    return _Light(excess, level, source)
+    return _Light(excess, level, NOTHING if stochastic else light)
 
 
 def _listed_light(pixels: Pixels, frame: _Light) -> _Light:
@@ -249,7 +256,8 @@ def _listed_light(pixels: Pixels, frame: _Light) -> _Light:
     excess = np.empty_like(light)
     given = light, places.at, frame.excess, frame.level
     for_bands(_highlight_kernels.listed_excess, len(light), *given, STANDS_OUT, excess)
-    return _Light(excess, frame.level, np.zeros((0, 0), np.int64))
+    # The surfaces of a list have light of their own.
+    return _Light(excess, frame.level, NOTHING)
 
 
 def _brightest(radiance: Image) -> FloatArray:
@@ -263,29 +271,34 @@ _light_of_samples = Remembered(partial(_light, stochastic=True))
 
 
 def _from_sources(
-    pixel_sets: Sequence[Pixels], keys: Sequence[IntArray], codes: Sequence[IntArray], lights: Sequence[_Light]
+    pixel_sets: Sequence[Pixels],
+    keys: Sequence[IntArray],
+    listed: Sequence[tuple[IntArray, IntArray]],
+    lights: Sequence[_Light],
 ) -> list[tuple[IntArray, IntArray]]:
     """Return the highlights of each pass: their numbers in raster order, and their codes.
 
     The edges of lamps get the codes of what their light is from, in whichever pass that is drawn.
     """
     alone = []
-    for key, code, light in zip(keys, codes, lights, strict=True):
-        at = np.flatnonzero(code != NOT_ALONE)
-        # The surfaces of a list have light of their own.
-        source = light.source.ravel()[at] if len(light.source) else at
-        most, best = np.zeros(len(at), np.float32), code.ravel()[at]
+    for key, (at, codes), light in zip(keys, listed, lights, strict=True):
+        source = at
+        if len(light.light):
+            source = np.empty_like(at)
+            for_bands(_highlight_kernels.sources_of_light, len(at), at, light.light, MUCH_BRIGHTER, source)
+        most, best = np.zeros(len(at), np.float32), codes.copy()
         # What stays sharp needs no PSF of its own, save for the light that is another's.
         best[(source == at) & (key.ravel()[at] == SHARP)] = NOT_ALONE
         edges = source != at
-        for pixels, other, known, shared in zip(pixel_sets, keys, codes, lights, strict=True):
-            if shared is not light or not edges.any():
+        for pixels, other, (places, theirs), shared in zip(pixel_sets, keys, listed, lights, strict=True):
+            if shared is not light or not edges.any() or not len(places):
                 continue
             weight = np.where(other.ravel()[source] == INVISIBLE, np.float32(0.0), np.float32(1.0))
             if len(pixels.weight):
                 weight *= pixels.weight.ravel()[source]
-            better = edges & (weight > most) & (known.ravel()[source] != NOT_ALONE)
-            most[better], best[better] = weight[better], known.ravel()[source[better]]
+            number = np.minimum(np.searchsorted(places, source), len(places) - 1)
+            better = edges & (weight > most) & (places[number] == source)
+            most[better], best[better] = weight[better], theirs[number[better]]
         alone.append((at[best != NOT_ALONE], best[best != NOT_ALONE]))
     return alone
 
@@ -296,32 +309,20 @@ def _row_sums(plane: FloatArray) -> FloatArray:
     return sums
 
 
-def _codes(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> IntArray:
-    """Return the codes of a pass's highlights."""
-    labels, code = pixels.labels, np.empty(key.shape, np.int64)
+def _listed(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> tuple[IntArray, IntArray]:
+    """Return the numbers, in raster order, and the codes of a pass's highlights."""
+    labels, counts = pixels.labels, np.empty(len(key), np.int64)
     nothing = np.zeros((), np.float32)
     length = labels.length if model.has_motion else np.broadcast_to(nothing, key.shape)
     heading = HEADINGS[model.symmetry.heading](labels) if model.has_direction else nothing
     heading = np.broadcast_to(heading, (*key.shape, 2))
     sided = model.symmetry.sign != "ignored"
     steps = CodeSteps(RADIUS_STEPS, longest_step(model, labels.view.frame_shape[1]), THIN_RADIUS_PX, sided)
-    coded = CodedLabels(labels.coc, length, heading)
-    limits = LEAST_CHANGE, float(LARGEST_AREA)
-    for_bands(_highlight_kernels.highlight_codes, len(key), key, excess, coded, steps, limits, code)
-    return code
-
-
-def _numbered(
-    alone: Sequence[tuple[IntArray, IntArray]], shapes: Sequence[tuple[int, ...]]
-) -> tuple[IntArray, list[npt.NDArray[np.int32]]]:
-    """Return the codes in use, ascending, and the number of each pixel's code among them, -1 if it has none."""
-    used, index = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
-    numbers = []
-    for (at, _), shape in zip(alone, shapes, strict=True):
-        number = np.full(shape, -1, np.int32)
-        number.ravel()[at], index = index[: len(at)], index[len(at) :]
-        numbers.append(number)
-    return used, numbers
+    given = key, excess, CodedLabels(labels.coc, length, heading), steps, (LEAST_CHANGE, float(LARGEST_AREA))
+    for_bands(_highlight_kernels.count_highlights, len(key), *given, counts)
+    at, code = np.empty((2, int(counts.sum())), np.int64)
+    for_bands(_highlight_kernels.list_highlights, len(key), *given, np.cumsum(counts) - counts, at, code)
+    return at, code
 
 
 def _coordinates(codes: IntArray, model: PsfModel, view: View) -> tuple[DoubleArray, DoubleArray, IntArray]:

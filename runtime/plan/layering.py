@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -105,15 +105,16 @@ class Layering:
     @cached_property
     def _assigned(self) -> Remembered[tuple[npt.NDArray[np.int32], Image]]:
         """What is hidden is looked for in the same layers as pixels are drawn in."""
-        return Remembered(self._assign)
+        # It must not hold the layers that hold it: what it remembers is large, and is to go when they do.
+        return Remembered(partial(_assign, np.array(self.cuts), np.array(self.widths)))
 
-    def _assign(self, depth: Image) -> tuple[npt.NDArray[np.int32], Image]:
-        """Return the nearer layer, and the share of the next one, of pixels by their depths (H, W)."""
-        layer, farther = np.zeros(depth.shape, np.int32), np.zeros(depth.shape, np.float32)
-        if self.cuts:
-            transitions = np.array(self.cuts), np.array(self.widths)
-            for_bands(_layer_kernels.assign_layers, len(layer), depth, *transitions, layer, farther)
-        return layer, farther
+
+def _assign(cuts: DoubleArray, widths: DoubleArray, depth: Image) -> tuple[npt.NDArray[np.int32], Image]:
+    """Return the nearer layer, and the share of the next one, of pixels by their depths (H, W)."""
+    layer, farther = np.zeros(depth.shape, np.int32), np.zeros(depth.shape, np.float32)
+    if len(cuts):
+        for_bands(_layer_kernels.assign_layers, len(layer), depth, cuts, widths, layer, farther)
+    return layer, farther
 
 
 def _range(labelled: Sequence[Labelled]) -> tuple[float, float]:

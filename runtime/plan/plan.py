@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -41,6 +41,8 @@ from spreadlets.scans import holds_anything
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
+NOWHERE = np.zeros(0, np.int64)
+"""The numbers of no pixels."""
 UNMOVED = np.zeros((0, 0, 2), np.float32)
 """The shift of pixels that are drawn where they are."""
 SCALE_STEPS_PER_OCTAVE = 16
@@ -59,9 +61,9 @@ WIDE_REACH = 8
 it is the mean of many such errors that counts."""
 
 
-@dataclass
-class Plan:
-    """What a set of labelled pixels needs.
+@dataclass(frozen=True)
+class Drawing:
+    """What to draw.
 
     Attributes
     ----------
@@ -73,36 +75,18 @@ class Plan:
         Variants without those: pixels that have one of them are drawn twice.
     n_layers : int
         Depth layers.
-    members : list of Membership
-        The layers of the pixels that were given, in their order.
-    cells_used : set of int
-    pixels_skipped : int
-        Pixels that contribute nothing.
     corner : tuple of int
         Row and column of the first pixel, counted from the picture's centre.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
-    lay_out : callable
-        Makes the sources, and their bound, of pixels with these labels and whatever colours.
-    left_out : list of str
-        What is not needed.
     """
 
     sources: list[list[SplatPass]]
     table: PointTable
     n_variants: int
     n_layers: int
-    members: list[Membership]
-    cells_used: set[int]
-    pixels_skipped: int
     corner: tuple[int, int]
-    lay_out: Callable[[Sequence[Pixels]], tuple[list[list[SplatPass]], float]]
-    error_bound: float = 0.0
-    left_out: list[str] = field(default_factory=list)
-
-    def coloured(self, pixel_sets: Sequence[Pixels]) -> Plan:
-        """Return the plan of pixels that differ from those that it was made for in their colours only."""
-        return replace(self, sources=self.lay_out(pixel_sets)[0])
+    error_bound: float
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
@@ -123,6 +107,36 @@ class Plan:
             "pixels_merged": int(merged.sum()),
             "points_splatted": int((splats * self.table.n_points).sum()),
         }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a set of labelled pixels needs.
+
+    Attributes
+    ----------
+    table : PointTable
+        As in `Drawing`.
+    n_layers : int
+        Depth layers.
+    members : list of Membership
+        The layers of the pixels that were given, in their order.
+    cells_used : set of int
+    pixels_skipped : int
+        Pixels that contribute nothing.
+    left_out : list of str
+        What is not needed.
+    lay_out : callable
+        Makes the `Drawing` of pixels with these labels and whatever colours.
+    """
+
+    table: PointTable
+    n_layers: int
+    members: list[Membership]
+    cells_used: set[int]
+    pixels_skipped: int
+    left_out: list[str]
+    lay_out: Callable[[Sequence[Pixels]], Drawing]
 
 
 class _Choice(NamedTuple):
@@ -187,8 +201,8 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
         for pixels in pixel_sets:
             key, _ = _variant_keys(pixels, grid, cell_start)
             # Whether a bright pixel is a highlight is not known yet: it may need either.
-            nowhere = np.full(key.shape, -1, np.int32)
-            found = np.union1d(key, _shared_keys(pixels, grid, cell_start, key.copy(), nowhere, _bright(pixels)))
+            shared = _shared_keys(pixels, grid, cell_start, key.copy(), NOWHERE, _bright(pixels))
+            found = np.union1d(key, shared)
             variants = _decoded(found[found >= 0], cell_start)
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
     return needed
@@ -207,7 +221,7 @@ def plan_pixels(
     layering: Layering | None = None,
     shared: bool = True,
 ) -> Plan:
-    """Decide the variant and the layers of each pixel, read just the cells in use, and lay out what to draw.
+    """Decide the variant and the layers of each pixel, and read just the cells in use.
 
     Parameters
     ----------
@@ -244,32 +258,25 @@ def plan_pixels(
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
     n_layers, found = layering.n_layers, zip(pixel_sets, chosen.indices, strict=True)
     members = [layering.members(each.labels, index) for each, index in found]
-    # Lay out what each layer draws.
-    lay_out = partial(
-        _lay_out,
-        chosen=chosen,
-        members=members,
-        n_layers=n_layers,
-        tolerance=tolerance,
-        border=border,
-        stochastic=stochastic,
-    )
-    sources, error_bound = lay_out(pixel_sets)
-    # Record what is drawn, and what needs no work.
-    plan = Plan(
-        sources=sources,
+    # Record what is needed, and what is not.
+    n_skipped = _count_skipped(pixel_sets, chosen.indices)
+    return Plan(
         table=chosen.table,
-        n_variants=chosen.n_variants,
         n_layers=n_layers,
         members=members,
         cells_used={variant.cell for variant in chosen.variants if variant != SHARP},
-        pixels_skipped=_count_skipped(pixel_sets, chosen.indices),
-        corner=pixel_sets[0].labels.view.corner,
-        lay_out=lay_out,
-        error_bound=error_bound,
+        pixels_skipped=n_skipped,
+        left_out=_left_out(chosen, n_layers, n_skipped, pixel_sets, stochastic=stochastic),
+        lay_out=partial(
+            _lay_out,
+            chosen=chosen,
+            members=members,
+            n_layers=n_layers,
+            tolerance=tolerance,
+            border=border,
+            stochastic=stochastic,
+        ),
     )
-    plan.left_out = _left_out(plan, pixel_sets, chosen.variants, stochastic=stochastic)
-    return plan
 
 
 def _choose(
@@ -289,7 +296,7 @@ def _choose(
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
     highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     if shared:
-        sets = zip(pixel_sets, keys, highlights.number, strict=True)
+        sets = zip(pixel_sets, keys, highlights.places, strict=True)
         keys = tuple(
             _shared_keys(each, database.grid, database.cell_start, key, own, _bright(each)) for each, key, own in sets
         )
@@ -335,8 +342,8 @@ def _lay_out(
     tolerance: float,
     border: bool,
     stochastic: bool,
-) -> tuple[list[list[SplatPass]], float]:
-    """Lay out what to draw, as `Plan.sources`, and bound the error of drawing blocks of pixels as one."""
+) -> Drawing:
+    """Lay out what each layer draws, and bound the error of drawing blocks of pixels as one."""
     table, highlights = chosen.table, chosen.highlights
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
@@ -353,7 +360,8 @@ def _lay_out(
     coarse = float(coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group]).max(initial=0.0))
     merged = [merge_blocks(each, variation, tolerance - coarse) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
-    return sources, coarse + max((bound for _, bound in merged), default=0.0)
+    error_bound = coarse + max((bound for _, bound in merged), default=0.0)
+    return Drawing(sources, table, chosen.n_variants, n_layers, pixel_sets[0].labels.view.corner, error_bound)
 
 
 def _variant_keys(
@@ -374,16 +382,21 @@ def _shared_keys(
     grid: PsfGrid,
     cell_start: npt.NDArray[np.int64],
     key: npt.NDArray[np.int64],
-    apart: npt.NDArray[np.int32],
+    apart: npt.NDArray[np.int64],
     limit: float,
 ) -> npt.NDArray[np.int64]:
-    """Let blocks of bright pixels share out the cells about their coordinate, see the kernel; return the same keys."""
-    labels = pixels.labels
+    """Let blocks of bright pixels share out the cells about their coordinate, see the kernel; return the same keys.
+
+    Those of the pixels ``apart``, by their numbers in raster order, stay.
+    """
+    labels, stay = pixels.labels, key.ravel()[apart]
     given = _Given.of(labels, coordinates(labels, grid.model), grid, cell_start)
     listed = labels.view.places
     places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at)
     asked = given.coordinate, given.pose, places, given.tables, given.sizes
-    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, apart, key)
+    key.ravel()[apart] = _plan_kernels.INVISIBLE
+    for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, key)
+    key.ravel()[apart] = stay
     return key
 
 
@@ -607,20 +620,22 @@ def _variation(
     return variation
 
 
-def _left_out(plan: Plan, pixel_sets: Sequence[Pixels], variants: list[Variant], *, stochastic: bool) -> list[str]:
+def _left_out(
+    chosen: _Choice, n_layers: int, n_skipped: int, pixel_sets: Sequence[Pixels], *, stochastic: bool
+) -> list[str]:
     """Name what is not needed."""
     frames = [each for each in pixel_sets if not each.is_list]
     labels = [each.labels for each in pixel_sets]
     skipped: dict[str, bool] = {
-        "empty pixels": plan.pixels_skipped > 0,
+        "empty pixels": n_skipped > 0,
         "motion": not any(holds_anything(each.length) for each in labels),
         "curved motion": all(each.curved is None for each in frames),
         "blended depths": stochastic or not any(_is_shared(each) for each in frames),
         "defocus": not any(holds_anything(each.coc) for each in labels),
-        "depth layers": plan.n_layers == 1,
-        "sparse image": bool(plan.table.direct.all()),
-        "direct image": not plan.table.direct.any(),
-        "scaled PSFs": all(variant.scale == 1.0 for variant in variants),
+        "depth layers": n_layers == 1,
+        "sparse image": bool(chosen.table.direct.all()),
+        "direct image": not chosen.table.direct.any(),
+        "scaled PSFs": all(variant.scale == 1.0 for variant in chosen.variants),
         "sub-pixel placement": all(each.labels.shift is None and each.curved is None for each in frames),
     }
     return [name for name, is_skipped in skipped.items() if is_skipped]

@@ -243,6 +243,9 @@ def test_an_element_all_of_whose_samples_of_depth_hit_it_keeps_them():
 def test_surfaces_are_kept_for_the_next_camera_unless_there_are_too_many(monkeypatch):
     layer = Frame(np.ones((8, 8, 3)), np.where(np.arange(8) < 4, 2.0, 4.0) * np.ones((8, 1))).layers[0]
     kept = surfaces.KeptSurfaces(split_surfaces)
+    # A single picture keeps none.
+    assert len(list(kept(layer, CAMERA))) == 2
+    assert not kept._kept
     assert kept(layer, CAMERA) is kept(layer, replace(CAMERA, focus_distance_m=3.0))
     assert kept(layer, CAMERA) is not kept(layer, replace(CAMERA, f_number=2 * CAMERA.f_number))
     monkeypatch.setattr(surfaces, "MOST_KEPT_PIXELS", 64)

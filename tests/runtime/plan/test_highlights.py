@@ -66,9 +66,7 @@ def count_of(frame, database):
     passes = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
     keys = [_variant_keys(each, database.grid, database.cell_start)[0] for each in passes]
     model = database.grid.model
-    return sum(
-        int((each >= 0).sum()) for each in highlights.find_highlights(passes, keys, model, exact_psf(model)).number
-    )
+    return sum(map(len, highlights.find_highlights(passes, keys, model, exact_psf(model)).places))
 
 
 @pytest.mark.parametrize("place", [(MIDDLE, MIDDLE), (0, MIDDLE), (SIZE - 1, SIZE - 1), (3, 1)])
@@ -104,7 +102,7 @@ def test_the_pixels_of_a_lamp_share_one_psf(small_combined):
     keys = [_variant_keys(each, small_combined.grid, small_combined.cell_start)[0] for each in passes]
     model = small_combined.grid.model
     found = highlights.find_highlights(passes, keys, model, exact_psf(model))
-    assert len(found.psfs) == 1 and (found.number[0] >= 0).sum() == 9
+    assert len(found.psfs) == 1 and len(found.places[0]) == 9
 
 
 @pytest.mark.parametrize("layers", [1, 3])
@@ -195,13 +193,15 @@ def test_a_highlight_has_the_coordinate_that_the_figures_of_a_build_are_of(small
     radius, length, angle = rng.uniform(0.2, 30.0, n), rng.uniform(0.0, 40.0, n), rng.uniform(-3.1, 3.1, n)
     side = np.where(rng.random(n) < 0.5, -1, 1)
     path = (length * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32)[None]
-    code = np.empty((1, n), np.int64)
     radii, lengths = (side * radius).astype(np.float32)[None], length.astype(np.float32)[None]
     labels = _highlight_kernels.CodedLabels(radii, lengths, path)
     light = np.full((1, n), np.inf, np.float32)
     steps = _highlight_kernels.CodeSteps(exact.RADIUS_STEPS, exact.longest_step(model, 1), exact.THIN_RADIUS_PX, False)
-    _highlight_kernels.highlight_codes(0, 1, np.ones((1, n), np.int64), light, labels, steps, (0.0, np.inf), code)
-    drawn = highlights._coordinates(code[0], model, View(np.zeros((1, 1), np.float32), 1.0, 1.0))
+    given = np.ones((1, n), np.int64), light, labels, steps, (0.0, np.inf)
+    at, code = np.empty((2, n), np.int64)
+    _highlight_kernels.list_highlights(0, 1, *given, np.zeros(1, np.int64), at, code)
+    assert np.array_equal(at, np.arange(n))
+    drawn = highlights._coordinates(code, model, View(np.zeros((1, 1), np.float32), 1.0, 1.0))
     said = exact.rounded(np.stack([radius, length], axis=1), angle, np.ones(n, np.int64), model)
     for one, other in zip(drawn, said, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
