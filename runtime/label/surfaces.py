@@ -48,7 +48,8 @@ WHITE = 1.0
 """Radiance above which a display shows no more."""
 MOST_KEPT_PIXELS = 1 << 24
 """Labelled pixels that are kept for the next camera, some 50 bytes each."""
-
+DEPTHS, MOTIONS = ("depth", "depth_prev", "depth_next"), ("motion", "motion_prev", "motion_next")
+"""What may be known of a layer, and is averaged: one of each, or all three."""
 
 Indices = npt.NDArray[np.int32]
 
@@ -500,13 +501,13 @@ def take_features(layer: Layer, like: Layer, at: Any = ...) -> Image:
 
 def with_features(layer: Layer, features: Image) -> Layer:
     """Return a layer or a list with features (H, W, n) as another has; beyond all depths where they are 0."""
-    begin, names = 4, ("depth", "depth_prev", "depth_next")[: len(layer.depths)]
+    begin, names = 4, DEPTHS[: len(layer.depths)]
     planes: dict[str, Any] = {"radiance": np.ascontiguousarray(features[..., :begin])}
     for name in names:
         nearness, planes[name] = features[..., begin], np.full(features.shape[:2], np.inf, np.float32)
         np.divide(-1.0, nearness, out=planes[name], where=nearness < 0.0)
         begin += 1
-    for name in ("motion", "motion_prev", "motion_next")[: len(layer.motions)]:
+    for name in MOTIONS[: len(layer.motions)]:
         planes[name] = np.ascontiguousarray(features[..., begin : begin + 2])
         begin += 2
     return replace(layer, **planes)

@@ -233,8 +233,8 @@ def sources_of_light(begin, end, at, light, ratio, source):
 
 @helper
 def _code(key, excess, labels, steps, limits, row, col):
-    """Return a pixel's labels, rounded and packed; `NOT_ALONE` if it is no highlight."""
-    if key[row, col] == INVISIBLE or excess[row, col] == 0.0:
+    """Return the labels of a pixel that stands out, rounded and packed; `NOT_ALONE` if it is no highlight."""
+    if key[row, col] == INVISIBLE:
         return NOT_ALONE
     radius = abs(np.float64(labels.coc[row, col]))
     area = max(math.pi * radius * radius + 2.0 * radius * np.float64(labels.length[row, col]), 1.0)
@@ -260,7 +260,8 @@ def count_highlights(begin, end, key, excess, labels, steps, limits, counts):
     for row in range(begin, end):
         counts[row] = 0
         for col in range(key.shape[1]):
-            counts[row] += _code(key, excess, labels, steps, limits, row, col) != NOT_ALONE
+            if excess[row, col] > 0.0:
+                counts[row] += _code(key, excess, labels, steps, limits, row, col) != NOT_ALONE
 
 
 @kernel
@@ -286,6 +287,8 @@ def list_highlights(begin, end, key, excess, labels, steps, limits, first, at, c
     for row in range(begin, end):
         number = first[row]
         for col in range(width):
+            if excess[row, col] == 0.0:
+                continue
             packed = _code(key, excess, labels, steps, limits, row, col)
             if packed != NOT_ALONE:
                 at[number], code[number] = row * width + col, packed

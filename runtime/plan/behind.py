@@ -9,7 +9,8 @@ compositing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +20,11 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.label.labels import EVERYWHERE
-from spreadlets.runtime.label.lists import rows_of
+from spreadlets.runtime.label.lists import LIST_WIDTH
 from spreadlets.runtime.label.pixels import Labelled
-from spreadlets.runtime.label.surfaces import Surface, take_features, with_features
+from spreadlets.runtime.label.surfaces import DEPTHS, MOTIONS, Surface, take_features
 from spreadlets.runtime.label.tiles import largest_around, tiling
-from spreadlets.runtime.plan import _behind_kernels
+from spreadlets.runtime.plan import _behind_kernels, _hidden_kernels
 from spreadlets.runtime.plan._alike_kernels import BLOCK
 from spreadlets.runtime.plan.alike import (
     BLOCKS_AROUND,
@@ -276,21 +277,31 @@ def _places(
 
 def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:
     """Return a list of the pixels of a frame in which something lies hidden, strands of the frame's colours too."""
-    number = np.flatnonzero(share != 0.0)
-    part, strand = share.ravel()[number], np.zeros(0, np.int64)
-    if len(strands.at):
-        # Strands come behind what else is hidden in their pixels.
-        before = np.searchsorted(number, strands.at, side="right")
-        number, part = np.insert(number, before, strands.at), np.insert(part, before, strands.share)
-        strand = before + np.arange(len(before))
-    if not len(number):
+    height, width = share.shape
+    # Strands come behind what else is hidden in their pixels.
+    counts, begins = np.empty(height, np.int64), np.searchsorted(strands.at, np.arange(height + 1) * width)
+    for_bands(_hidden_kernels.count_hidden, height, share, counts)
+    counts += np.diff(begins)
+    if not (n := int(counts.sum())):
         return None
-    index = rows_of(np.arange(len(number)))
-    shown = features.reshape(-1, features.shape[2])[number[index]]
-    if len(strand):
-        sides = np.unravel_index(strands.sides, frame.shape)
-        shown.reshape(-1, shown.shape[2])[strand] = take_features(frame, first, sides).mean(axis=1)
-    at = np.stack(np.divmod(number[index], share.shape[1]), axis=-1).astype(np.int32)
-    part = part[index]
-    part.ravel()[len(number) :] = 0.0
-    return Surface(with_features(first, shown), part, at)
+    sides = np.unravel_index(strands.sides, frame.shape)
+    lines = strands.at, strands.share, take_features(frame, first, sides).mean(axis=1), begins
+    # The last row is filled up with the first pixel, of weight 0.
+    rows, n_depths, n_motions = -(-n // LIST_WIDTH), len(first.depths), len(first.motions)
+    at, part = np.empty((rows * LIST_WIDTH, 2), np.int32), np.empty(rows * LIST_WIDTH, np.float32)
+    radiance, depths, motions = (
+        np.empty(each, np.float32) for each in ((len(part), 4), (n_depths, len(part)), (n_motions, len(part), 2))
+    )
+    given = share, features, lines, np.cumsum(counts) - counts, (at, part), (radiance, depths, motions)
+    for_bands(_hidden_kernels.list_hidden, height, *given)
+    at[n:], part[n:], radiance[n:], depths[:, n:], motions[:, n:] = (
+        at[0],
+        0.0,
+        radiance[0],
+        depths[:, :1],
+        motions[:, :1],
+    )
+    planes: dict[str, Any] = dict(zip(DEPTHS[:n_depths], depths.reshape(n_depths, rows, -1), strict=True))
+    planes |= dict(zip(MOTIONS[:n_motions], motions.reshape(n_motions, rows, -1, 2), strict=True))
+    layer = replace(first, radiance=radiance.reshape(rows, -1, 4), **planes)
+    return Surface(layer, part.reshape(rows, -1), at.reshape(rows, -1, 2))
