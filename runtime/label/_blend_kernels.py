@@ -39,6 +39,9 @@ def _edge_kind(line, start, gap):
         flat = FLATNESS * abs(rise)
         if abs(rise) < gap or abs(first - line[start - 1]) > flat:
             continue
+        # What is still the one surface, or the other already, is no place between them.
+        if min(abs(line[start + 1] - first), abs(here - line[start + step - 1])) <= SMOOTHNESS * abs(rise):
+            continue
         if abs(line[start + step + 1] - here) <= flat or _returns(line, start, start + step, flat):
             return 1 if step == 1 else 2
     return 0
