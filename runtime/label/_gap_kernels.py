@@ -10,6 +10,10 @@ UPRIGHT, LEVEL = 1, 2
 """What is thin in a row, and what is only so in a column."""
 LONGEST_GAP = 10
 """Px: so far apart two pixels' centres may lie in a strand a few tenths of a pixel wide."""
+LONGEST_STEEP_GAP = 40
+"""The same along a row or a column from which a strand turns away by so little that it is a pixel beside at the end."""
+LEAST_RUN = 0.25
+"""Pixels in a row, as a share of such a gap, that a strand must have at either end: it is a fifth of a pixel wide."""
 ALIKE = 0.5
 """Largest difference of places from end to end of a gap, as a share of that which parts two surfaces."""
 LOOK, LEAST_LOOK = 2, 6
@@ -98,6 +102,40 @@ def _count_hits(place, thin, row, col, down, across, here, most):
     return hits
 
 
+@helper
+def _run(place, row, col, down, across, most):
+    """Return how many pixels of a strand follow each other along a row or a column, with the first."""
+    height, width = place.shape
+    here, steps = place[row, col], 0
+    while 0 <= row < height and 0 <= col < width and abs(place[row, col] - here) < most:
+        row, col, steps = row + down, col + across, steps + 1
+    return steps
+
+
+@helper
+def _steep_gap(place, thin, row, col, most):
+    """Return how many rows and columns away a strand goes on that hardly leaves its row or column; (0, 0) if none."""
+    height, width = place.shape
+    upright, here = thin[row, col] == UPRIGHT, place[row, col]
+    for side in (-1, 1):
+        if not _ends_towards(place, row, col, 1 if upright else side, side if upright else 1, most):
+            continue
+        for reach in range(LONGEST_GAP + 1, LONGEST_STEEP_GAP + 1):
+            down, across = (reach, side) if upright else (side, reach)
+            i, j = row + down, col + across
+            if not (0 <= i < height and 0 <= j < width):
+                break
+            if thin[i, j] != thin[row, col] or abs(place[i, j] - here) >= most:
+                continue
+            # A strand that turns away so slowly has many pixels in a row at both ends.
+            along = (1, 0) if upright else (0, 1)
+            shortest = min(_run(place, row, col, -along[0], -along[1], most), _run(place, i, j, *along, most))
+            if shortest >= LEAST_RUN * reach and _is_gap(place, row, col, down, across, most):
+                return down, across
+            break
+    return 0, 0
+
+
 @kernel
 def find_gaps(begin, end, place, thin, gap, ends):
     """Find where strands go on after a gap below, or to the right, of each of their pixels.
@@ -134,6 +172,8 @@ def find_gaps(begin, end, place, thin, gap, ends):
                     if min(before, after) >= LEAST_HITS and score > best:
                         best = score
                         ends[row, col, 0], ends[row, col, 1] = down, across
+            if best == 0.0:
+                ends[row, col, 0], ends[row, col, 1] = _steep_gap(place, thin, row, col, most)
 
 
 @helper
