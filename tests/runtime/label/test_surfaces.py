@@ -146,6 +146,14 @@ def test_filtered_depth_is_told_from_point_samples(shape):
         assert depth_is_filtered(place) == filtered or shape is not edge
 
 
+def test_what_bends_before_it_ends_is_no_blend():
+    """A ball before a wall: towards its rim each pixel is a little nearer to the wall, and then the wall begins."""
+    y, x = np.mgrid[:48, :48] - 23.3
+    ball = NEAR + 0.5 * (1.0 - np.sqrt(np.maximum(1.0 - (x**2 + y**2) / 20.0**2, 0.0)))
+    layer = Frame(np.ones((48, 48, 3)), np.where(np.hypot(x, y) < 20.0, ball, FAR)).layers[0]
+    assert not depth_is_filtered(surfaces.places(layer, CAMERA))
+
+
 def thread(x, y):
     return np.abs(x - 0.5 * y - 6.2) < 0.4
 
@@ -303,6 +311,29 @@ def test_strands_have_no_gaps():
     light = sum(share * (each.depth < 3.0) * (each.radiance[..., 0] - BLUE[0]) for each, share in passes)
     wanted = coverage.sum(axis=1) * (RED[0] - BLUE[0])
     assert np.abs((light.sum(axis=1) - wanted)[6:-6]).mean() < 0.1 * wanted.mean()
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_a_strand_that_hardly_leaves_its_column_or_row_has_no_gaps(across):
+    """A strand of .5 px at 1.5 degrees: nineteen rows of each thirty-eight have no point sample in it."""
+    slope, size = np.tan(np.radians(1.5)), 120
+    inside = lambda x, y: np.abs(x - 24.2 - slope * (y - 60.0)) < 0.25  # noqa: E731
+    layer, coverage = drawn((lambda x, y: inside(y, x)) if across else inside, size=size)
+    axis = 0 if across else 1
+    assert 0.3 < (layer.depth == NEAR).any(axis=axis).mean() < 0.7
+    closed, _ = surfaces.without_gaps(layer, surfaces.places(layer, CAMERA))
+    assert ((closed.depth == NEAR).sum(axis=axis) == 1)[8:100].all()
+    passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
+    light = sum(share * (each.depth < 3.0) * (each.radiance[..., 0] - BLUE[0]) for each, share in passes)
+    wanted = coverage.sum(axis=axis) * (RED[0] - BLUE[0])
+    assert np.abs((light.sum(axis=axis) - wanted)[8:100]).mean() < 0.15 * wanted.mean()
+
+
+def test_short_things_in_a_line_are_no_strand():
+    """Two upright sticks a pixel apart in their columns, farther from each other than they are long."""
+    layer, _ = drawn(lambda x, y: (np.abs(x - 20.0 - (y > 24.0)) < 0.5) & (np.abs(np.abs(y - 24.0) - 13.0) < 2.0), 48)
+    place = surfaces.places(layer, CAMERA)
+    assert np.array_equal(surfaces.without_gaps(layer, place)[1], place)
 
 
 @pytest.mark.interpreted
