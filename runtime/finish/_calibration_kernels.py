@@ -56,7 +56,7 @@ def block_sums(begin, end, layer, total, count, every, limits, side, colour, cov
     every : ndarray of shape (H, W), float32
         Number of the samples of all layers.
     limits : tuple of three floats
-        Share of a pixel from which its colour counts; brightness below which the weight of a colour grows no more; the
+        Share of a pixel from which it counts; brightness below which the weight of a colour grows no more; the
         least variance of a share.
     side : int
         Of a block, px.
@@ -71,16 +71,17 @@ def block_sums(begin, end, layer, total, count, every, limits, side, colour, cov
         for row in range(i * side, min((i + 1) * side, height)):
             for col in range(width):
                 j, n, share = col // side, np.float64(count[row, col]), np.float64(layer[row, col, 3])
-                if share <= 0.0:
+                if share < least_share:
                     continue
                 # Compare how much of the pixel shows the layer with the share of the samples that do.
                 weight = 1.0 / (max(share * (1.0 - share), 0.0) + least_variance)
                 product, square = weight * share * n, weight * share * share * every[row, col]
                 _add_pixel(cover, 0, i, j, product, square, share)
-                if n == 0.0 or share < least_share:
+                if n == 0.0:
                     continue
                 # Compare its colour there with theirs.
-                red, green, blue = layer[row, col, 0] / share, layer[row, col, 1] / share, layer[row, col, 2] / share
+                scale = 1.0 / share
+                red, green, blue = layer[row, col, 0] * scale, layer[row, col, 1] * scale, layer[row, col, 2] * scale
                 bright = (red + green + blue) / 3.0
                 weight = 1.0 / (bright * bright + floor * floor)
                 _add_pixel(colour, 0, i, j, weight * red * total[row, col, 0], weight * n * red * red, red)

@@ -27,7 +27,7 @@ LOOK = 4
 FLOOR = 0.5
 """Brightness, in medians of the image, below which noise does not get less."""
 LEAST_SHARE = 1e-3
-"""Share of a pixel that a layer has at least where its colour counts."""
+"""Share of a pixel that a layer has at least where it counts."""
 LEAST_VARIANCE = 0.02
 """Variance, at least, of whether a sample is of a layer: what is nearly certain may be wrong."""
 LEAST_WINDOWS = 4.0

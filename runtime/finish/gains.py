@@ -90,9 +90,11 @@ def _around(planes: FloatArray, factor: int) -> FloatArray:
 
 
 def _reduced(planes: FloatArray, factor: int) -> FloatArray:
-    """Return the sums of planes (..., rows, cols) over blocks of as many rows and columns."""
-    rows = np.sum([planes[..., k::factor, :] for k in range(factor)], axis=0)
-    return np.asarray(np.sum([rows[..., k::factor] for k in range(factor)], axis=0), np.float32)
+    """Return the sums of planes (..., rows, cols) over blocks of as many rows and columns, a power of 2."""
+    while factor > 1:
+        rows = planes[..., ::2, :] + planes[..., 1::2, :]
+        planes, factor = rows[..., ::2] + rows[..., 1::2], factor // 2
+    return planes
 
 
 def _windowed(planes: FloatArray, weights: FloatArray) -> FloatArray:
