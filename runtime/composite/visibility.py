@@ -159,13 +159,11 @@ class PassingSamples:
         self.samples = samples
         # Where each was seen, and its places on the lens and in time, laid out once for all layers.
         since_centre = samples.time - np.float32(camera.shutter_centre)
-        self._passes = [
-            (
-                members,
-                *(np.ascontiguousarray(each[:, :, i]) for each in (samples.offset, samples.lens_uv, since_centre)),
-            )
-            for i, members in enumerate(self.members)
-        ]
+        offset, lens, time = (
+            [np.ascontiguousarray(each[:, :, i]) for i in range(samples.n_samples)]
+            for each in (samples.offset, samples.lens_uv, since_centre)
+        )
+        self._passes = list(zip(self.members, offset, lens, time, strict=True))
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
             # They passed the layers through the lens that took them, even where its blur is taken out of the image.

@@ -87,18 +87,19 @@ def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[tuple[Imag
     every = np.sum([place != NOWHERE for _, place in samples], axis=0, dtype=np.float32)
     cells, limits = block_counts(shape), (LEAST_SHARE, _floor(layers), LEAST_VARIANCE)
     colour = np.zeros((len(layers), 5, 3, *cells), np.float32)
-    cover = np.zeros((5, len(layers), *cells), np.float32)
+    cover = np.zeros((len(layers), 5, 1, *cells), np.float32)
     for k, (number, layer) in enumerate(layers):
         total, count = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
         for each in samples:
             for_bands(_calibration_kernels.add_samples, len(count), *each, number, total, count)
         given = layer, total, count, every, limits, BLOCK
-        for_bands(_calibration_kernels.block_sums, -(-len(count) // BLOCK), *given, colour[k], cover[:, k : k + 1])
+        for_bands(_calibration_kernels.block_sums, -(-len(count) // BLOCK), *given, colour[k], cover[k])
     # Find the gains of both, and add up the layers with them.
     image, whole = np.zeros_like(layers[0][1]), np.zeros(shape, np.float32)
-    seen = believed_gains(cover, [scale for scale in scales if scale in COVER_SCALES], shared=True)
+    shares = [scale for scale in scales if scale in COVER_SCALES]
+    seen = believed_gains(cover[:, :, 0].swapaxes(0, 1), shares, shared=True)
     for (_, layer), sums, share in zip(layers, colour, seen, strict=True):
-        gain = np.stack([*(share * believed_gains(sums, scales)), share], axis=-1)
+        gain = np.ascontiguousarray(np.stack([*(share * believed_gains(sums, scales)), share], axis=-1))
         for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, image, whole)
     # Together they cover as much as before.
     image[..., :3] *= (whole / np.where(image[..., 3] > 0.0, image[..., 3], np.float32(1.0)))[..., None]
