@@ -14,7 +14,7 @@ from spreadlets.arrays import NOTHING, BoolArray, Image
 from spreadlets.errors import InvalidParameterError, option
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
-from spreadlets.runtime.buffers import buffer, cleared, let_go
+from spreadlets.runtime.buffers import buffer, cleared, copied, let_go
 from spreadlets.runtime.clock import Clock
 from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
 from spreadlets.runtime.composite.haze import BlurredShare, Haze
@@ -25,7 +25,7 @@ from spreadlets.runtime.composite.visibility import (
     Visibility,
     overlap_of_layers,
 )
-from spreadlets.runtime.finish.calibration import calibrate, takes_whole_lens
+from spreadlets.runtime.finish.calibration import NOWHERE, calibrated, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.carried import carried, moves_itself
@@ -342,11 +342,17 @@ def reconstruct(
         tally.add_plan(plan)
         drawing = plan.lay_out(drawn)
     image = np.zeros((*samples.shape, 4), np.float32)
-    _add_drawing(image, drawing, visibility, _solver(options), clock, tally, closed=closed)
+    # A gain of the colours alone would part them from an alpha that is as inexact.
+    calibrates = closed and options.calibrate and _shows_samples(samples, camera, database, options)
+    parts: list[tuple[int, Image]] = []
+    _add_drawing(
+        image, drawing, visibility, _solver(options), clock, tally, closed=closed, parts=parts if calibrates else None
+    )
     with clock.step("composite"):
-        # A gain of the colours alone would part them from an alpha that is as inexact.
-        if closed and options.calibrate and _shows_samples(samples, camera, database, options):
-            calibrate(image, [each.radiance for each in pixel_sets], samples.valid)
+        if parts:
+            image = calibrated(
+                parts, list(zip([each.radiance for each in pixel_sets], _places(samples, visibility), strict=True))
+            )
         else:
             plan.left_out.append("calibration")
     if options.denoise is not None:
@@ -383,6 +389,14 @@ def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, 
     return shown and takes_whole_lens(samples, camera)
 
 
+def _places(samples: SampleBuffer, visibility: PassingSamples) -> list[Image]:
+    """Return the place of each sample among the layers, one array (H, W) for each of a pixel."""
+    return [
+        np.where(valid & (each.variant >= 0), each.layer.astype(np.float32) + each.farther, NOWHERE)
+        for valid, each in zip(np.moveaxis(samples.valid, 2, 0), visibility.members, strict=True)
+    ]
+
+
 def _sharp_share(plan: Plan, valid: BoolArray) -> Image:
     """Return the share of each pixel's samples whose PSF reaches no farther than the pixels around it, (H, W)."""
     narrow = np.append(plan.table.reaches <= 1, False)  # variant -1 is nothing
@@ -416,8 +430,9 @@ def _add_drawing(
     tally: Tally,
     *,
     closed: bool,
+    parts: list[tuple[int, Image]] | None = None,
 ) -> None:
-    """Put the layers of a drawing behind an image, in place."""
+    """Put the layers of a drawing behind an image, in place; list their numbers and what each adds, if asked for."""
     # List the runs of each layer.
     with clock.step("splat"):
         sources = [[find_runs(each, drawing.table, drawing.n_layers) for each in levels] for levels in drawing.sources]
@@ -438,7 +453,10 @@ def _add_drawing(
             seen = NOTHING if seen is None else seen
             beyond = NOTHING if visibility is None or last else visibility.beyond(number)
             placed = (canvas.top, canvas.left), kind
+            before = None if parts is None else copied(image)
             add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=drawing.corner)
+            if parts is not None and before is not None:
+                parts.append((number, np.subtract(image, before, out=before)))
             # The next layer is drawn where this one was.
             del padded, seen, beyond
         tally.add_canvas(covered, image.shape)

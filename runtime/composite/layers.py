@@ -140,13 +140,13 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     Parameters
     ----------
     passes : sequence of (members, offset, lens_uv, time)
-        The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time.
+        The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time: contiguous.
     number : int
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
     """
     farthest = max(
-        float(np.abs(offset).max()) + abs(moments.coc) + max(map(abs, moments.motion)) * float(np.abs(time).max())
+        _largest(offset) + abs(moments.coc) + max(map(abs, moments.motion)) * _largest(time)
         for _, offset, _, time in passes
     )
     padding = 2 * moments.box_half_width() + math.ceil(farthest) + 1
@@ -154,7 +154,11 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
     layer = moments.coc, *moments.motion
     for members, *sample in passes:
-        labels = tuple(map(np.ascontiguousarray, sample))
-        _visibility_kernels.scatter_passing(tuple(members), number, labels, layer, padding, passing)
+        _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
     blurred = box_blurred(passing, moments.box_half_width(), times=2)
     return np.maximum(blurred[padding : padding + height, padding : padding + width], np.float32(0.0))
+
+
+def _largest(values: Image) -> float:
+    """Return the largest absolute value."""
+    return max(float(values.max()), -float(values.min()))

@@ -156,7 +156,14 @@ class PassingSamples:
             layer = np.where(samples.valid[:, :, number], members.layer, np.int32(0))  # a missing one passes nothing
             layer = np.where(met_nothing, np.int32(BEHIND_ALL), layer)
             self.members.append(members._replace(variant=variant.astype(np.int32, copy=False), layer=layer))
-        self.samples, self.camera = samples, camera
+        self.samples = samples
+        # Where each was seen, and its places on the lens and in time, laid out once for all layers.
+        since_centre = samples.time - np.float32(camera.shutter_centre)
+        offset, lens, time = (
+            [np.ascontiguousarray(each[:, :, i]) for i in range(samples.n_samples)]
+            for each in (samples.offset, samples.lens_uv, since_centre)
+        )
+        self._passes = list(zip(self.members, offset, lens, time, strict=True))
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
             # They passed the layers through the lens that took them, even where its blur is taken out of the image.
@@ -181,16 +188,7 @@ class PassingSamples:
         moments = self.moments[number]
         if moments is None:
             return None
-        samples = self.samples
-        since_centre = samples.time - np.float32(self.camera.shutter_centre)
-        return layers.passing_samples(
-            [
-                (members, samples.offset[:, :, i], samples.lens_uv[:, :, i], since_centre[:, :, i])
-                for i, members in enumerate(self.members)
-            ],
-            number,
-            moments,
-        )
+        return layers.passing_samples(self._passes, number, moments)
 
 
 Visibility = ShareBeyond | GivenLayer | PassingSamples

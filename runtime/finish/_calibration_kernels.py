@@ -1,75 +1,126 @@
-"""Compiled kernels of the calibration by samples: sums over blocks of pixels, and gains laid over the image."""
+"""Compiled kernels of the calibration by samples: sums over blocks of pixels, and gains laid over layers."""
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 
 @kernel
-def add_samples(begin, end, radiance, valid, total, count):
-    """Add one sample of each pixel, (H, W, 4) float32 where ``valid`` (H, W), to ``total`` (H, W, 4) and ``count``."""
-    for row in range(begin, end):
-        for col in range(valid.shape[1]):
-            if valid[row, col]:
-                count[row, col] += np.float32(1.0)
-                for c in range(4):
-                    total[row, col, c] += radiance[row, col, c]
-
-
-@kernel
-def block_sums(begin, end, image, total, count, floor, side, sums):
-    """Sum, over blocks of pixels, what a least-squares gain and its error are made of.
+def add_samples(begin, end, radiance, place, number, total, count):
+    """Add one sample of each pixel, as far as it is of a layer, to the layer's.
 
     Parameters
     ----------
-    image : ndarray of shape (H, W, 4), float32
-    total, count : ndarray of shapes (H, W, 4) and (H, W), float32
-        Sum and number of the samples of each pixel.
-    floor : float
-        Brightness below which the weight of a pixel grows no more.
-    side : int
-        Of a block, px.
-    sums : ndarray of shape (4, rows, cols, 3), float64
-        Filled, for R, G and B: ``p = w y (m - y)``, ``w y y``, ``p^2`` and ``p^4`` with the image y, the mean m of
-        the samples, and the weight w, the number of samples over the squared brightness.
+    radiance : ndarray of shape (H, W, 4), float32
+    place : ndarray of shape (H, W), float32
+        The number of the nearer of its layers plus the share of the next one; below -1 where there is no sample.
+    number : int
+        The layer.
+    total : ndarray of shape (H, W, 3), float32
+        Colours; added to.
+    count : ndarray of shape (H, W), float32
+        Shares; added to.
     """
-    height, width = count.shape
-    for i in range(begin, end):
-        for j in range(sums.shape[2]):
-            sums[:, i, j] = 0.0
-            for row in range(i * side, min((i + 1) * side, height)):
-                for col in range(j * side, min((j + 1) * side, width)):
-                    n = np.float64(count[row, col])
-                    if n == 0:
-                        continue
-                    # Weigh the pixel, and sum up what its samples say of each colour.
-                    bright = (np.float64(image[row, col, 0]) + image[row, col, 1] + image[row, col, 2]) / 3.0
-                    weight = n / (bright * bright + floor * floor)
-                    for c in range(3):
-                        value = np.float64(image[row, col, c])
-                        part = weight * value * (total[row, col, c] / n - value)
-                        sums[0, i, j, c] += part
-                        sums[1, i, j, c] += weight * value * value
-                        sums[2, i, j, c] += part * part
-                        sums[3, i, j, c] += part * part * part * part
+    for row in range(begin, end):
+        for col in range(place.shape[1]):
+            share = np.float32(1.0) - abs(place[row, col] - np.float32(number))
+            if share > np.float32(0.0):
+                count[row, col] += share
+                for c in range(3):
+                    total[row, col, c] += share * radiance[row, col, c]
+
+
+@helper
+def _add_pixel(sums, plane, i, j, product, square, value):
+    """Add a pixel to the sums of its block, see `block_sums`."""
+    part = product - square
+    sums[0, plane, i, j] += product
+    sums[1, plane, i, j] += square
+    sums[2, plane, i, j] += part * part
+    sums[3, plane, i, j] += part * part * part * part
+    sums[4, plane, i, j] += value
 
 
 @kernel
-def apply_gain(begin, end, image, gain, side):
-    """Multiply R, G and B of an image (H, W, 4), in place, by the gains (rows, cols, 3) of blocks, bilinearly."""
+def block_sums(begin, end, layer, total, count, every, limits, side, colour, cover):
+    """Sum, over blocks of pixels, what the gains of a layer and their errors are made of.
+
+    Sums are those of `runtime.finish.gains.believed_gains`.
+
+    Parameters
+    ----------
+    layer : ndarray of shape (H, W, 4), float32
+        What the layer adds to the image: premultiplied colour, and the share of the pixel that shows it.
+    total, count : ndarray of shapes (H, W, 3) and (H, W), float32
+        See `add_samples`.
+    every : ndarray of shape (H, W), float32
+        Number of the samples of all layers.
+    limits : tuple of three floats
+        Share of a pixel from which it counts; brightness below which the weight of a colour grows no more; the
+        least variance of a share.
+    side : int
+        Of a block, px.
+    colour : ndarray of shape (5, 3, rows, cols), float32
+        Filled with the sums of R, G and B, weighted by the layer's samples over the squared brightness.
+    cover : ndarray of shape (5, 1, rows, cols), float32
+        Filled with those of the shares, weighted by all samples over the variance of whether one is of the layer.
+    """
+    height, width = count.shape
+    least_share, floor, least_variance = limits
+    for i in range(begin, end):
+        for row in range(i * side, min((i + 1) * side, height)):
+            for col in range(width):
+                j, n, share = col // side, np.float64(count[row, col]), np.float64(layer[row, col, 3])
+                if share < least_share:
+                    continue
+                # Compare how much of the pixel shows the layer with the share of the samples that do.
+                weight = 1.0 / (max(share * (1.0 - share), 0.0) + least_variance)
+                product, square = weight * share * n, weight * share * share * every[row, col]
+                _add_pixel(cover, 0, i, j, product, square, share)
+                if n == 0.0:
+                    continue
+                # Compare its colour there with theirs.
+                scale = 1.0 / share
+                red, green, blue = layer[row, col, 0] * scale, layer[row, col, 1] * scale, layer[row, col, 2] * scale
+                bright = (red + green + blue) / 3.0
+                weight = 1.0 / (bright * bright + floor * floor)
+                _add_pixel(colour, 0, i, j, weight * red * total[row, col, 0], weight * n * red * red, red)
+                _add_pixel(colour, 1, i, j, weight * green * total[row, col, 1], weight * n * green * green, green)
+                _add_pixel(colour, 2, i, j, weight * blue * total[row, col, 2], weight * n * blue * blue, blue)
+
+
+@kernel
+def add_layer(begin, end, layer, gain, side, image, whole):
+    """Add a layer times the gains of blocks, bilinearly, to an image.
+
+    Parameters
+    ----------
+    layer : ndarray of shape (H, W, 4), float32
+    gain : ndarray of shape (rows, cols, 4), float32
+    side : int
+        Of a block, px.
+    image : ndarray of shape (H, W, 4), float32
+        Added to.
+    whole : ndarray of shape (H, W), float32
+        What the layer's alpha is without a gain is added to it.
+    """
     rows, cols = gain.shape[:2]
-    line = np.empty((cols, 3))
+    line = np.empty((cols, 4), np.float32)
     for row in range(begin, end):
         # Interpolate down the columns of blocks, then along the row.
         y = min(max((row + 0.5) / side - 0.5, 0.0), rows - 1.0)
         top = min(int(y), max(rows - 2, 0))
-        below, down = min(top + 1, rows - 1), y - top
+        below, down = min(top + 1, rows - 1), np.float32(y - top)
         for j in range(cols):
-            for c in range(3):
+            for c in range(4):
                 line[j, c] = gain[top, j, c] + down * (gain[below, j, c] - gain[top, j, c])
         for col in range(image.shape[1]):
+            if layer[row, col, 3] == np.float32(0.0):
+                continue
             x = min(max((col + 0.5) / side - 0.5, 0.0), cols - 1.0)
             left = min(int(x), max(cols - 2, 0))
-            right, across = min(left + 1, cols - 1), x - left
-            for c in range(3):
-                image[row, col, c] *= np.float32(line[left, c] + across * (line[right, c] - line[left, c]))
+            right, across = min(left + 1, cols - 1), np.float32(x - left)
+            for c in range(4):
+                factor = line[left, c] + across * (line[right, c] - line[left, c])
+                image[row, col, c] += factor * layer[row, col, c]
+            whole[row, col] += layer[row, col, 3]

@@ -39,10 +39,15 @@ def assign_layers(begin, end, depth, cuts, widths, layer, farther):
     """
     for row in range(begin, end):
         for col in range(depth.shape[1]):
+            # Count the cuts before the place: halve the range in which the first beyond it lies.
             place = -1.0 / np.float64(depth[row, col])
-            number = 0
-            for cut in range(len(cuts)):
-                number += cuts[cut] <= place
+            number, beyond = 0, len(cuts)
+            while number < beyond:
+                middle = (number + beyond) // 2
+                if cuts[middle] <= place:
+                    number = middle + 1
+                else:
+                    beyond = middle
             layer[row, col] = number
             farther[row, col] = 0.0
             for cut in range(max(number - 1, 0), min(number + 1, len(cuts))):

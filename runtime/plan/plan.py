@@ -56,7 +56,7 @@ WHITE = 1.0
 """Radiance above which a display shows no more. What is brighter has a steep rim, where a wrong radius shows."""
 BRIGHT = 2.5
 """How many times brighter than the mean of a frame a bright area is: an even texture is at most twice as bright."""
-WIDE_REACH = 8
+WIDE_REACH = 16
 """Reach of a PSF, px, from which a stochastic sample is placed to the whole pixel: as samples lie anywhere in a pixel,
 it is the mean of many such errors that counts."""
 

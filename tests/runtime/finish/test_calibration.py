@@ -4,8 +4,8 @@ from threads import for_thread_counts
 
 import spreadlets as sp
 from spreadlets.errors import InvalidParameterError
-from spreadlets.runtime.finish.calibration import BLOCK, calibrate, takes_whole_lens
-from spreadlets.runtime.finish.calibration import _gain as gain_of
+from spreadlets.runtime.finish.calibration import NOWHERE, calibrated, takes_whole_lens
+from spreadlets.runtime.finish.gains import BLOCK, SCALES, believed_gains
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
@@ -27,8 +27,11 @@ def texture(rng):
     return image
 
 
-def everything(n=2):
-    return np.ones((SIZE, SIZE, n), bool)
+def of_one_layer(image, samples, valid=None):
+    """Calibrate an image of a single layer."""
+    valid = np.ones((*image.shape[:2], len(samples)), bool) if valid is None else valid
+    places = [np.where(valid[:, :, k], np.float32(0.0), NOWHERE) for k in range(len(samples))]
+    return calibrated([(0, image)], list(zip(samples, places, strict=True)))
 
 
 def test_a_smooth_bias_is_taken_out_and_a_right_image_stays():
@@ -40,32 +43,72 @@ def test_a_smooth_bias_is_taken_out_and_a_right_image_stays():
         image = truth.copy()
         image[..., :3] *= start
         before = np.abs(image - truth)[..., :3].mean()
-        calibrate(image, list(noisy(truth, rng, n=8)), everything(8))
+        image = of_one_layer(image, noisy(truth, rng, n=8))
         after = np.abs(image - truth)[..., :3].mean()
         assert after < before / least if least else after < 0.005
         assert (image[..., 3] == 1).all()
 
 
 @pytest.mark.interpreted
-def test_gains_are_those_of_least_squares_under_a_gaussian_window():
+def test_gains_are_those_of_least_squares_under_a_window_about_each_block():
     rng = np.random.default_rng(1)
-    parts = rng.normal(0, 1, (12, 14, 3)) + 3  # far above their noise: all of it is believed
-    squares = rng.uniform(5, 9, (12, 14, 3))
-    nothing = np.zeros_like(parts)
-    gain = gain_of(np.stack([parts, squares, nothing, nothing]), 2.0 * BLOCK, BLOCK)
-    rows, cols = np.indices((12, 14))
+    rows, cols = 64, 32
+    product, square = rng.uniform(2.0, 2.4, (1, rows, cols)), rng.uniform(1.0, 1.4, (1, rows, cols))
+    nothing = np.zeros_like(product)  # no noise: all of it is believed
+    gain = believed_gains(np.stack([product, square, nothing, nothing, nothing]).astype(np.float32), [BLOCK])
+    taps = np.array([1, 4, 6, 4, 1]) / 16
+    for row, col in ((20, 16), (0, 3), (63, 31)):
+        weight = np.zeros((rows, cols))
+        for i in range(max(row - 2, 0), min(row + 3, rows)):
+            for j in range(max(col - 2, 0), min(col + 3, cols)):
+                weight[i, j] = taps[i - row + 2] * taps[j - col + 2]
+        assert gain[0, row, col] == pytest.approx((weight * product[0]).sum() / (weight * square[0]).sum(), rel=1e-5)
 
-    def reflected(size, at):  # where the window reaches beyond the border, the image is mirrored
-        return np.where(at < 0, -1 - at, np.where(at >= size, 2 * size - 1 - at, at))
 
-    for row, col in ((5, 6), (0, 3), (11, 13)):
-        window = np.zeros((12, 14))
-        for dr in range(-6, 7):
-            for dc in range(-6, 7):
-                at = int(reflected(12, np.array(row + dr))), int(reflected(14, np.array(col + dc)))
-                window[at] += np.exp(-(dr * dr + dc * dc) / 8.0)
-        expected = 1 + (window[..., None] * parts).sum((0, 1)) / (window[..., None] * squares).sum((0, 1))
-        assert gain[row, col] == pytest.approx(expected, rel=1e-6)
+def test_coarse_gains_are_those_of_sums_over_larger_blocks_interpolated():
+    """A bias that rises evenly is met by windows of any size."""
+    rows, cols = np.indices((64, 64)).astype(np.float32)
+    bias = (1.0 + 0.004 * rows + 0.002 * cols)[None]
+    nothing, one = np.zeros_like(bias), np.ones_like(bias)
+    for scale in SCALES:
+        gain = believed_gains(np.stack([bias, one, nothing, nothing, nothing]), [scale])
+        inside = slice(3 * scale // BLOCK, -3 * scale // BLOCK or None)
+        assert np.abs(gain - bias)[0, inside, inside].max() < 1e-4
+
+
+def two_layers(rng, cover, n=4):
+    """Samples, with their places, of a red layer that covers part of each pixel, and of a green one behind."""
+    near = rng.random((n, SIZE, SIZE)) < cover
+    colours = np.where(near[..., None], (1.0, 0.1, 0.1, 1.0), (0.1, 1.0, 0.1, 1.0)).astype(np.float32)
+    return list(zip(colours, np.where(near, np.float32(0.0), np.float32(1.0)), strict=True))
+
+
+def seen(cover, red=1.0):
+    """What both layers add to an image."""
+    near, far = np.empty((2, SIZE, SIZE, 4), np.float32)
+    near[:] = cover[..., None] * np.array((1.0, 0.1, 0.1, 1.0))
+    near[..., 0] *= red
+    far[:] = (1 - cover)[..., None] * np.array((0.1, 1.0, 0.1, 1.0))
+    return [(0, near), (1, far)]
+
+
+def test_each_layer_is_brought_to_its_own_samples_whatever_hides_it():
+    """Whether a sample meets the one or the other is noise, and says nothing of the colour of either."""
+    rows = np.linspace(0, 6, SIZE)[:, None]
+    cover, bias = np.full((SIZE, SIZE), 0.5), 1.0 + 0.2 * np.sin(4 * rows) * np.ones((1, SIZE))
+    samples = two_layers(np.random.default_rng(0), cover)
+    truth = sum(layer for _, layer in seen(cover))
+    before = sum(layer for _, layer in seen(cover, bias))
+    apart, together = calibrated(seen(cover, bias), samples), of_one_layer(before, [each for each, _ in samples])
+    left, of_whole, at_first = (np.abs(each - truth)[..., 0].mean() for each in (apart, together, before))
+    assert left < 0.25 * at_first and left < 0.5 * of_whole
+
+
+def test_how_much_is_seen_of_each_layer_is_brought_to_the_share_of_its_samples():
+    right, wrong = np.full((SIZE, SIZE), 0.5), np.full((SIZE, SIZE), 0.35)
+    image = calibrated(seen(wrong), two_layers(np.random.default_rng(1), right))
+    truth = sum(layer for _, layer in seen(right))
+    assert np.abs(image - truth)[..., :3].mean() < 0.02 and np.allclose(image[..., 3], 1.0, atol=1e-6)
 
 
 def test_a_fine_bias_is_taken_out_where_many_samples_carry_the_noise_and_not_where_few_do():
@@ -82,7 +125,7 @@ def test_a_fine_bias_is_taken_out_where_many_samples_carry_the_noise_and_not_whe
         image = truth.copy()
         image[..., :3] *= bias
         before = np.abs(image - truth).mean()
-        calibrate(image, list(samples), everything(4))
+        image = of_one_layer(image, samples)
         left[few] = np.abs(image - truth).mean() / before
     assert left[False] < 0.7 and left[True] < 1.0
 
@@ -90,34 +133,27 @@ def test_a_fine_bias_is_taken_out_where_many_samples_carry_the_noise_and_not_whe
 def test_missing_samples_and_dark_images_count_for_nothing():
     rng = np.random.default_rng(2)
     truth = texture(rng)
-    samples, valid = noisy(truth, rng), everything()
+    samples, valid = noisy(truth, rng), np.ones((SIZE, SIZE, 2), bool)
     valid[:, : SIZE // 2, 1] = False
     samples[1, :, : SIZE // 2] = 1e6
-    image = truth.copy()
-    calibrate(image, list(samples), valid)
-    assert np.abs(image - truth).mean() < 0.01
-    black = np.zeros_like(truth)
-    calibrate(black, list(samples), valid)
-    assert not black.any()
+    assert np.abs(of_one_layer(truth, samples, valid) - truth).mean() < 0.01
+    assert not of_one_layer(np.zeros_like(truth), samples, valid).any()
 
 
 def test_a_small_image_is_left_as_it_is():
     image = np.full((7, 7, 4), 0.5, np.float32)
-    calibrate(image, [np.ones((7, 7, 4), np.float32)], np.ones((7, 7, 1), bool))
-    assert (image == 0.5).all()
+    assert (of_one_layer(image, np.ones((1, 7, 7, 4), np.float32)) == 0.5).all()
 
 
 def test_the_image_is_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(3)
     truth = texture(rng)
-    samples = list(noisy(truth, rng))
+    samples = noisy(truth, rng)
 
-    def calibrated():
-        image = truth * np.float32(0.8)
-        calibrate(image, samples, everything())
-        return image
+    def made():
+        return of_one_layer(truth * np.float32(0.8), samples)
 
-    first, *others = for_thread_counts(calibrated)
+    first, *others = for_thread_counts(made)
     assert all(np.array_equal(first, other) for other in others)
 
 
@@ -181,6 +217,4 @@ def test_light_that_few_samples_carry_is_not_taken_for_a_bias(seed):
     image[..., 3] = 1.0
     sample = np.full((SIZE, SIZE, 4), 0.3, np.float32)
     sample[disc & (rng.random((SIZE, SIZE)) < (4.0 - 0.3) / 2000.0), :3] = 2000.0
-    calibrated = image.copy()
-    calibrate(calibrated, [sample], everything(1))
-    assert np.abs(calibrated / image - 1)[disc].max() < 0.1
+    assert np.abs(of_one_layer(image, [sample]) / image - 1)[disc].max() < 0.1
