@@ -36,6 +36,9 @@ SPLATTING_OPTIONS = ("integrator", "cycles", "tolerance", "softness", "firefly_c
 FRAME_OPTIONS = "near_strength far_strength in_focus max_coc highlights focus_at mask region proxy vignetting".split()
 """Options that mean nothing to samples, which hold their lens already."""
 
+SWITCHES = ("defocus", "motion", "calibrate", "vignetting")
+"""Options that are on or off."""
+
 LEAST_PROXY = 1 / 64
 """Smallest proxy, as a share of the frame's size."""
 
@@ -120,10 +123,14 @@ class Options(Controls):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_method(self.method, METHODS)
+        for name in SWITCHES:
+            check_value(name, getattr(self, name), "True and False", isinstance(getattr(self, name), bool | np.bool_))
         # Method and solver.
         if self.integrator not in INTEGRATORS:
             known = ", ".join(INTEGRATORS)
             raise InvalidParameterError(f"{option('integrator')} {self.integrator!r} is unknown: allowed are {known}")
+        whole_cycles = isinstance(self.cycles, int | np.integer) and self.cycles >= 0
+        check_value("cycles", self.cycles, "whole numbers from 0", whole_cycles)
         check_value(
             "tolerance", self.tolerance, "0 (off) to below 1 (the displayed range)", 0.0 <= self.tolerance < 1.0
         )

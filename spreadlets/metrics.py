@@ -14,7 +14,7 @@ from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidFrameError, MissingPackageError
 from spreadlets.packages import optional_package
 from spreadlets.scene.display import display_encode
-from spreadlets.scene.frame import check_finite, image_array
+from spreadlets.scene.frame import check_finite, shown_array
 
 SSIM_SIGMA_PX = 1.5
 SSIM_WINDOW_PX = 11
@@ -40,7 +40,7 @@ def ssim(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance, at least 11 px on each side; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers, at least 11 px on each side; alpha is ignored.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def psnr(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers; alpha is ignored.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def flip(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers; alpha is ignored.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def relmse(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers; alpha is ignored.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def mae(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers; alpha is ignored.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def compare(image: npt.ArrayLike, reference: npt.ArrayLike) -> dict[str, float]:
     Parameters
     ----------
     image, reference : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear radiance, at least 11 px on each side; alpha is ignored.
+        Linear radiance, or sRGB of 8- or 16-bit integers, at least 11 px on each side; alpha is ignored.
 
     Returns
     -------
@@ -267,7 +267,7 @@ def psf_l1(psf: npt.ArrayLike, reconstruction: npt.ArrayLike) -> float:
 
 def _colours(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the checked RGB of both images, (H, W, 3) float32."""
-    pair = image_array("image", image), image_array("reference", reference)
+    pair = shown_array("image", image), shown_array("reference", reference)
     if pair[0].shape[:2] != pair[1].shape[:2]:
         raise InvalidFrameError(
             f"image is {pair[0].shape[0]} x {pair[0].shape[1]} px, but reference is "

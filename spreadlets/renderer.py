@@ -364,6 +364,9 @@ class Renderer:
         return cut(values, smaller_raster(raster, options.proxy).data, wanted)
 
     def _focused(self, camera: ThinLens, options: Options) -> ThinLens:
+        if not isinstance(camera, ThinLens):
+            kind = type(camera).__name__
+            raise InvalidParameterError(f"camera is a {kind}; it must be a ThinLens, such as read_camera returns")
         camera = camera.fitted(self.frame.raster.display.shape, self.frame.raster.pixel_aspect)
         if options.focus_at is None:
             return camera

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from spreadlets.cli.main import cli
+from spreadlets.files.conventions import PRESETS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -34,3 +35,9 @@ def test_commands_in_examples_know_the_options_they_are_given(page):
     for name, rest in re.findall(r"^    spreadlets (\w+)(.*)$", text, re.MULTILINE):
         known = {option for parameter in cli.commands[name].params for option in parameter.opts}
         assert set(re.findall(r"\s(--?[a-z][\w-]*)", rest.split("  #")[0])) <= known, (name, rest)
+
+
+def test_the_table_of_presets_has_a_row_for_each():
+    guide = (ROOT / "docs" / "guide.md").read_text()
+    rows = guide.split("| preset | depth | motion |")[1].split("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)) == sorted(PRESETS)

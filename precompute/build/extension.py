@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import IntArray
-from spreadlets.errors import InvalidParameterError
-from spreadlets.precompute.models.grids import ALGORITHM_VERSION
+from spreadlets.errors import InvalidParameterError, option
+from spreadlets.precompute.models.grids import ALGORITHM_VERSION, check_ranges
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.database_file import CellRecord
 from spreadlets.psf.model import Axis, PsfGrid
@@ -67,9 +67,10 @@ def extended_grid(path: str | os.PathLike[str], model: str, options: Mapping[str
     for name in options:
         if name not in known:
             raise InvalidParameterError(
-                f"{name!r} cannot be extended: cells and settings stay what they are; of {model!r} these can be "
-                f"widened: {', '.join(sorted(known))}"
+                f"{option(name)} cannot be extended: cells and settings stay what they are; of {model!r} these can be "
+                f"widened: {', '.join(map(option, sorted(known)))}"
             )
+    check_ranges(options)
     # Lengthen the axes by whole units, so that the old cells stay what they are.
     pairs = [
         _extended_axis(axis, side, options.get(RANGES.get(axis.name, "")))

@@ -55,6 +55,9 @@ STRAIGHT_RAYS_PER_PIXEL = 256
 MAX_SPHERICAL = 0.45
 """Spherical aberration at which the rim is nearly a caustic; beyond, rays would overtake it."""
 
+LEAST_OPEN = 0.002
+"""Share of the lens that an aperture leaves open, at least: between two lines of less, a trace may miss it."""
+
 MIN_SQUEEZE = 0.25
 MAX_BLADES = 64
 
@@ -124,8 +127,12 @@ class Aperture:
                 raise InvalidParameterError(f"{option(name)} is {getattr(self, name)}: allowed are {text}")
         # Check that all of them together leave a part of the pupil open.
         u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
-        if not (self.clearance(u, v) > 0.0).any():
-            raise InvalidParameterError(f"the aperture lets no light through: {self}")
+        share = float((self.clearance(u, v) > 0.0).mean()) / (math.pi / 4.0)
+        if share < LEAST_OPEN:
+            raise InvalidParameterError(
+                f"the aperture lets no light through, or too little: {100 * share:.2g} % of the open lens, where "
+                f"{100 * LEAST_OPEN:g} % are needed: {self}"
+            )
 
     @property
     def is_round(self) -> bool:

@@ -63,7 +63,7 @@ def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> di
         If the file cannot be read.
     """
     if image is None:
-        raise InvalidParameterError("the model 'stylized' needs an image as its PSF: give one with --image")
+        raise InvalidParameterError(f"the model 'stylized' needs an image as its PSF: give {option('image')}")
     if not abs(colour_offset) <= MAX_COLOUR_OFFSET:
         raise InvalidParameterError(
             f"{option('colour_offset')} is {colour_offset}: allowed are "

@@ -102,7 +102,7 @@ def enlarge(begin, end, small, factor, image):
             line[1 + j] = upper[j] + down * (lower[j] - upper[j])
         line[0], line[width + 1] = line[1], line[width]
         # Interpolate along the row, pixels of like phase together.
-        for phase in range(factor):
+        for phase in range(min(factor, image.shape[1])):
             x = (phase + 0.5) / factor + 0.5
             before = line[int(x) :]
             behind, across = before[1:], np.float32(x - int(x))

@@ -22,6 +22,8 @@ LEAST_REST = np.float32(1e-6)
 """Share of a pixel that is left of it by no more than rounding."""
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
 """Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
+MOST_PADDING, LEAST_PADDING = 2, 1024
+"""How far beyond the border samples repeat at most, in longer sides of the frame, or px if that is more."""
 
 
 class Moments(NamedTuple):
@@ -43,6 +45,11 @@ class Moments(NamedTuple):
         # A disc of radius r has the variance r^2 / 4 along each axis, a path of length l the mean variance l^2 / 24.
         deviation = np.sqrt(self.coc_squared / 4.0 + self.length_squared / 24.0)
         return max(0, round(BOX_PER_DEVIATION * float(deviation) - 0.5))
+
+    def scaled(self, factor: float) -> Moments:
+        """Return the moments of PSFs that are a factor as wide."""
+        motion = self.motion[0] * factor, self.motion[1] * factor
+        return Moments(self.coc * factor, self.coc_squared * factor**2, self.length_squared * factor**2, motion)
 
 
 def layer_moments(labelled: Sequence[tuple[Pixels, Image, Membership]], n_layers: int) -> list[Moments | None]:
@@ -132,6 +139,15 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     return enlarged(beyond, cover.known.shape, factor)
 
 
+def _padding(passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments) -> float:
+    """Return how far, px, samples beyond the border can be from what they blur into; arguments as `passing_samples`."""
+    farthest = max(
+        _largest(offset) + abs(moments.coc) + max(map(abs, moments.motion)) * _largest(time)
+        for _, offset, _, time in passes
+    )
+    return 2.0 * moments.box_half_width() + farthest + 1.0
+
+
 def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:
     """Return the number of samples that passed a layer, blurred as the layer is, shape (H, W).
 
@@ -145,12 +161,15 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
     """
-    farthest = max(
-        _largest(offset) + abs(moments.coc) + max(map(abs, moments.motion)) * _largest(time)
-        for _, offset, _, time in passes
-    )
-    padding = 2 * moments.box_half_width() + math.ceil(farthest) + 1
     height, width = passes[0][0].variant.shape
+    # Find how far beyond the border samples count; of what blurs wider than a few frames all counts are even.
+    most = max(LEAST_PADDING, MOST_PADDING * max(height, width))
+    needed = _padding(passes, moments)
+    if needed > most:
+        moments = moments.scaled(most / needed)
+        needed = min(_padding(passes, moments), 2.0 * most)
+    padding = math.ceil(needed)
+    # Count the samples where they passed, and blur.
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
     layer = moments.coc, *moments.motion
     for members, *sample in passes:

@@ -13,6 +13,8 @@ from spreadlets.runtime.composite import _sweep_kernels
 
 FINEST_RADIUS = 8.0
 """Discs of up to twice this radius, px, are summed pixel by pixel; wider ones at half the size, and so on."""
+COARSEST = 1 << 24
+"""Largest side of the blocks, px: more than that of any image, which is one block then."""
 
 
 def sweep_blur(image: Image, radius: float, path: tuple[float, float]) -> Image:
@@ -37,7 +39,8 @@ def sweep_blur(image: Image, radius: float, path: tuple[float, float]) -> Image:
 
 def reduction(radius: float, path: tuple[float, float]) -> int:
     """Return the side, px, of the blocks whose means are blurred in place of pixels: a power of 2."""
-    return 1 << max(0, math.floor(math.log2(max(radius, math.hypot(*path) / 2.0, 1.0) / FINEST_RADIUS)))
+    wide = max(radius, math.hypot(*path) / 2.0, 1.0)
+    return min(COARSEST, 1 << max(0, math.floor(math.log2(wide / FINEST_RADIUS))))
 
 
 def reduced_blur(image: Image, radius: float, path: tuple[float, float], factor: int) -> Image:
@@ -60,6 +63,8 @@ def enlarged(small: Image, shape: tuple[int, ...], factor: int) -> Image:
 
 def _blurred(image: Image, radius: float, path: tuple[float, float]) -> Image:
     """Blur an image pixel by pixel."""
+    if image.size == 1:
+        return image
     first, last = sweep_spans(radius, path)
     if len(first) == 1 and first[0] == last[0]:
         return image

@@ -12,6 +12,8 @@ from spreadlets.runtime.plan._border_kernels import dimming
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
+FARTHEST_STEP = 1 << 30
+"""Farthest that a centre is placed from its pixel, in these: beyond any frame, and held by an int32."""
 
 
 class Splats(NamedTuple):
@@ -75,7 +77,7 @@ def place_steps(begin, end, shift, label, wide, steps):
             for axis in range(2):
                 place = np.float64(shift[row, col, 1 - axis]) if index >= 0 else 0.0
                 step = np.rint(place) * STEPS_PER_PIXEL if whole else np.rint(place * STEPS_PER_PIXEL)
-                steps[row, col, axis] = np.int32(step)
+                steps[row, col, axis] = np.int32(min(max(step, -FARTHEST_STEP), FARTHEST_STEP))
 
 
 @kernel
@@ -126,13 +128,17 @@ def list_splats(begin, end, pixels, shape, limit, padding, reach, first_row, at,
                 top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
                 bottom = row + (padding.below if row == height - 1 else 0)
                 right = col + (padding.right if col == width - 1 else 0)
+                # Of these, what is drawn lies in reach of the frame.
+                moved_y, moved_x = step_y >> STEP_BITS, step_x >> STEP_BITS
+                top, bottom = max(top, -far - 1 - moved_y), min(bottom, height + far - 1 - moved_y)
+                left, right = max(left, -far - 1 - moved_x), min(right, width + far - 1 - moved_x)
                 for down in range(top, bottom + 1):
                     for across in range(left, right + 1):
                         light = np.float32(1.0)
                         if down != row or across != col:
                             light = dimming(radiance, i, j, limit, row, col)
                         # Share it between the pixels around its centre.
-                        first_y, first_x = down + (step_y >> STEP_BITS), across + (step_x >> STEP_BITS)
+                        first_y, first_x = down + moved_y, across + moved_x
                         for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
                             for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
                                 place = at[chunk, y - first_row]

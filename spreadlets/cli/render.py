@@ -143,6 +143,8 @@ def _run(job: Job, sequence: dict[str, Any], as_json: bool) -> None:
     if sequence:
         given = ", ".join(f"--{name}" for name in sequence)
         raise click.UsageError(f"{given}: for sequences, such as frame.####.exr")
+    if is_pattern(job.output):
+        raise click.UsageError(f"the output {job.output} has a counter, but nothing that is read has one")
     job.check()
     with progress_bar(os.path.basename(job.output), quiet=as_json) as progress:
         report = job.make(progress)

@@ -100,12 +100,14 @@ def bench(
     from spreadlets.reports.bench.subjects import given_subject, shipped_subject, subjects_in
 
     # Find the frames to measure on.
+    if folder and (frame or samples):
+        raise click.UsageError("--frames and --frame or --samples exclude each other")
     if frame or samples:
         subjects = [given_subject(frame, samples, camera_path, reference)]
     elif camera_path or reference:
         raise click.UsageError("--camera and --reference come with --frame or --samples")
     else:
-        subjects = (subjects_in(Path(folder)) if folder else []) or [shipped_subject()]
+        subjects = subjects_in(Path(folder)) if folder else [shipped_subject()]
     # Measure, and show the summary.
     with progress_bar("bench", quiet=as_json) as progress:
         report = run_bench(subjects[:1] if quick else subjects, out, quick=quick, fresh=fresh, progress=progress)

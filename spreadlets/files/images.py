@@ -19,7 +19,7 @@ from spreadlets.files.exr_file import library_messages
 from spreadlets.files.exr_parts import part_header, raster_header
 from spreadlets.files.png_tiff import in_steps, png_bytes, tiff_bytes
 from spreadlets.scene.display import display_encode
-from spreadlets.scene.frame import image_array
+from spreadlets.scene.frame import shown_array
 from spreadlets.scene.primaries import to_rec_709
 from spreadlets.scene.raster import Raster, placed
 
@@ -83,7 +83,8 @@ def write_image(
         ``.tiff`` are pictures for viewing: of the display window, sRGB of 8 or 16 bits, dithered, over black, NaN as
         black; from the primaries that the raster's chromaticities name.
     radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values, stored as R, G, B and A.
+        Linear values, stored as R, G, B and A; or a picture (H, W, 3) of 8- or 16-bit integers in sRGB encoding, as
+        `photo` returns for such.
     half : bool
         Store 16-bit floats (values beyond 65504 are clipped) instead of 32-bit ones; as ``bit_depth=16`` does.
     bit_depth : int, optional
@@ -114,7 +115,7 @@ def write_image(
     >>> sp.write_image("image.jpg", np.full((4, 6, 3), 0.18))
     """
     # Find the file's kind.
-    image = image_array("radiance", radiance)
+    image = shown_array("radiance", radiance)
     raster = raster or Raster.of_shape((image.shape[0], image.shape[1]))
     check_bit_depth(path, bit_depth)
     if image_extension(path) != OPENEXR:
@@ -171,7 +172,7 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
     path : path
         Where to write; an existing file is replaced.
     radiance : array_like of shape (H, W, 3) or (H, W, 4)
-        Linear values; premultiplied colours are shown over black, NaN as black.
+        Linear values, or a picture, as for `write_image`; premultiplied colours are shown over black, NaN as black.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def write_png(path: PathLike, radiance: npt.ArrayLike) -> None:
     >>> import numpy as np
     >>> sp.write_png("image.png", np.full((4, 6, 3), 0.18))
     """
-    _write_picture(path, image_array("radiance", radiance), ".png", 8)
+    _write_picture(path, shown_array("radiance", radiance), ".png", 8)
 
 
 def _write_picture(path: PathLike, image: FloatArray, extension: str, bits: int) -> None:

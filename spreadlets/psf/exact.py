@@ -48,7 +48,9 @@ def direct_points(psf: DoubleArray) -> Spreadlet:
     """Turn a centred dense PSF of shape (h, w, C) into direct points, of the same energy, their rows ascending."""
     rows, cols = np.nonzero(psf.max(axis=2) > MIN_DIRECT_VALUE * psf.max())
     value = psf[rows, cols]
-    value *= psf.sum(axis=(0, 1)) / value.sum(axis=0)
+    # A channel may hold no light: a picture of one pure colour.
+    kept = value.sum(axis=0)
+    value *= np.divide(psf.sum(axis=(0, 1)), kept, out=np.zeros_like(kept), where=kept > 0.0)
     centre = np.array([psf.shape[0] // 2, psf.shape[1] // 2])
     return Spreadlet((np.stack([rows, cols], axis=1) - centre).astype(np.int16), value.astype(np.float32), True)
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import BoolArray, FloatArray
 from spreadlets.errors import AmbiguousInputWarning, InvalidFrameError, option
+from spreadlets.scene.display import display_decode
 from spreadlets.scene.raster import Raster, Window, placed
 
 ALPHA_TOLERANCE = 1e-3
@@ -305,12 +306,14 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
     Raises
     ------
     InvalidFrameError
-        If `values` is no array of real numbers.
+        If `values` is no array of real numbers, or a masked array with values that are masked.
     """
     try:
         array = np.asarray(values)
     except ValueError as error:
         raise InvalidFrameError(f"{name} is not an array: {error}") from error
+    if np.ma.is_masked(values):
+        raise InvalidFrameError(f"{name} is masked in places; fill these with values first")
     if array.dtype.kind not in "fiu":
         raise InvalidFrameError(f"{name} has dtype {array.dtype}; it must hold integers or floats")
     with np.errstate(over="ignore"):
@@ -338,6 +341,29 @@ def image_array(name: str, values: npt.ArrayLike) -> FloatArray:
     if array.size == 0:
         raise InvalidFrameError(f"{name} has shape {array.shape}; it must hold at least one pixel")
     return array
+
+
+def shown_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """Return a colour image as `image_array` does, linear also where it comes as a picture for display.
+
+    Parameters
+    ----------
+    name : str
+        What the array is called in the error's message.
+    values : array_like of shape (H, W, 3) or (H, W, 4)
+        Linear radiance; or (H, W, 3) of 8- or 16-bit integers without a sign, in sRGB encoding.
+
+    Raises
+    ------
+    InvalidFrameError
+        If the shape or the type is another.
+    """
+    codes = np.asarray(values)
+    if codes.dtype not in (np.uint8, np.uint16):
+        return image_array(name, values)
+    if codes.ndim != 3 or codes.shape[2] != 3:
+        raise InvalidFrameError(f"{name} has shape {codes.shape}; a picture of {codes.dtype} must be (H, W, 3)")
+    return image_array(name, display_decode(codes))
 
 
 def check_finite(name: str, array: FloatArray) -> None:

@@ -61,6 +61,10 @@ def test_highlights_gain_only_above_the_threshold_and_where_blurred():
         {"proxy": 1.5},
         {"region": (0, 0, 0, 5)},
         {"focus_at": (np.inf, 0.0)},
+        {"cycles": 2.5},
+        {"cycles": -1},
+        {"defocus": "no"},
+        {"motion": 0.5},
     ],
 )
 def test_bad_values_are_refused_by_name(bad):

@@ -136,3 +136,16 @@ def test_unusable_psfs_are_refused(metric):
         metric(0 * psf, psf)
     with pytest.raises(InvalidFrameError, match="reconstruction has values that are not finite"):
         metric(psf, np.full_like(psf, np.nan))
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_pictures_of_integers_are_compared_as_what_they_show(pair, kind):
+    codes = [np.rint(display_encode(each) * np.iinfo(kind).max).astype(kind) for each in pair]
+    shown, expected = metrics.compare(*codes), metrics.compare(*(np.clip(each, 0, 1) for each in pair))
+    assert shown["psnr"] == pytest.approx(expected["psnr"], abs=0.05)
+    assert shown["mae"] == pytest.approx(expected["mae"], rel=0.02)
+
+
+def test_a_picture_of_integers_has_three_channels(pair):
+    with pytest.raises(InvalidFrameError, match=r"image has shape \(24, 30, 4\); a picture of uint8 must be"):
+        metrics.mae(np.zeros((24, 30, 4), np.uint8), pair[1])

@@ -136,23 +136,37 @@ def shipped_subject() -> Subject:
 
 
 def subjects_in(folder: Path) -> list[Subject]:
-    """Return the frames of a folder: each NAME.json with NAME_ref_dofmb.exr and what else there is of NAME."""
+    """Return the frames of a folder: each NAME.json with NAME_ref_dofmb.exr and what else there is of NAME.
+
+    Raises
+    ------
+    InvalidParameterError
+        If there is none.
+    """
     found = []
     for camera in sorted(folder.glob("*.json")):
         name = camera.stem
         reference, pinhole, samples = (folder / f"{name}_{part}.exr" for part in ("ref_dofmb", "pinhole", "samples"))
         if not reference.exists() or not (pinhole.exists() or samples.exists()):
             continue
-        renders = {
-            int(match.group(1)): path
-            for path in folder.glob(f"{name}_noisy*.exr")
-            if (match := re.fullmatch(rf"{re.escape(name)}_noisy(\d+)\.exr", path.name))
-        }
-        layers = sorted(folder.glob(f"{name}_layer[0-9]*.exr"))
+        renders = numbered_files(folder, f"{name}_noisy")
+        layers = list(numbered_files(folder, f"{name}_layer").values())
         given = samples if samples.exists() else None
         frame = [pinhole] if pinhole.exists() else []
-        found.append(Subject(name, camera, reference, frame, layers, given, dict(sorted(renders.items()))))
+        found.append(Subject(name, camera, reference, frame, layers, given, renders))
+    if not found:
+        raise InvalidParameterError(
+            f"{folder}: holds no frame; needed are NAME.json and NAME_ref_dofmb.exr with NAME_pinhole.exr or "
+            "NAME_samples.exr"
+        )
     return found
+
+
+def numbered_files(folder: Path, stem: str) -> dict[int, Path]:
+    """Return the files of a folder that are called by a stem and a number, by that number, ascending."""
+    called = re.compile(rf"{re.escape(stem)}(\d+)\.exr")
+    found = {int(match.group(1)): path for path in folder.iterdir() if (match := called.fullmatch(path.name))}
+    return dict(sorted(found.items()))
 
 
 def given_subject(frame: Sequence[str], samples: str | None, camera: str | None, reference: str | None) -> Subject:

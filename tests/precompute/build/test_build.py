@@ -322,9 +322,11 @@ def test_a_database_for_a_frame_is_extended_for_another(tmp_path):
     ("model", "options", "message"),
     [
         ("simplelens", {}, "is a database of 'combined', not of 'simplelens'"),
-        ("combined", {"samples": 50}, "'samples' cannot be extended"),
-        ("combined", {"blades": 5}, "'blades' cannot be extended"),
+        ("combined", {"samples": 50}, "samples cannot be extended"),
+        ("combined", {"blades": 5}, "blades cannot be extended"),
         ("combined", {"density": 0.5}, "cannot thin it out"),
+        ("combined", {"max_coc": float("nan")}, "max_coc is nan: it must be finite and above 0"),
+        ("combined", {"max_motion": float("inf")}, "max_motion is inf"),
         ("combined", {"seed": 7}, "built with rays 10000 and seed 2"),
     ],
 )
@@ -390,3 +392,18 @@ def test_the_lock_is_taken_again_if_the_folder_goes_meanwhile(tmp_path):
         with open_parts(tmp_path / "a.h5", grid) as other:
             assert other.folder.is_dir() and isinstance(other, Parts)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "message"),
+    [
+        ("simplelens", {"max_motion": 5.0}, "the model 'simplelens' has no max_motion"),
+        ("volume", {"max_coc": 5.0}, "the model 'volume' has no max_coc"),
+        ("combined", {"max_coc": -5.0}, "max_coc is -5: it must be finite and above 0"),
+        ("combined", {"max_motion": 0.0}, "max_motion is 0: it must be"),
+    ],
+)
+def test_ranges_that_a_model_has_not_or_cannot_have_are_refused_by_name(tmp_path, model, options, message):
+    with pytest.raises(InvalidParameterError, match=message):
+        build_database(model, tmp_path / "a.h5", jobs=1, **options)
+    assert not list(tmp_path.iterdir())

@@ -243,6 +243,7 @@ def test_times_follow_the_curve():
         ({"blade_curvature": 1.5}, "0 to 1"),
         ({"cats_eye": 2.0}, "no light is left"),
         ({"cats_eye": 1.2, "obstruction": 0.99, "blades": 3, "rotation": 60.0}, "no light"),
+        ({"cats_eye": 1.99}, "too little: 0.039 % of the open lens"),
         ({"squeeze": 0.0}, "0.25 to 1"),
         ({"spherical_aberration": 0.6}, "0.45"),
         ({"obstruction": 1.0}, "below 1"),
@@ -258,7 +259,7 @@ def test_impossible_shapes_are_refused(options, message):
 
 
 def test_options_of_other_models_are_refused():
-    with pytest.raises(InvalidParameterError, match="'simplelens' has no option 'shutter_curve'.*blades"):
+    with pytest.raises(InvalidParameterError, match="'simplelens' has no shutter_curve.*blades"):
         model_settings("simplelens", {"shutter_curve": "1,1"})
     assert Aperture().is_round
 

@@ -7,6 +7,7 @@ from spreadlets.metrics import psf_similarity
 from spreadlets.precompute.models.exact_cache import CachedPsfs
 from spreadlets.precompute.models.registry import exact_psf, trace_psf
 from spreadlets.psf.database import open_database
+from spreadlets.psf.exact import direct_points
 from spreadlets.psf.model import get_model
 
 
@@ -83,3 +84,9 @@ def test_psfs_are_made_once_and_the_oldest_go(monkeypatch):
     assert ask(3.0) == [3] and len(made) == 2
     assert ask(1.0) == [1] and ask(5.0) == [5], "5 was asked for before 3 was again"
     assert made[2:] == [(1.0,), (5.0,)]
+
+
+def test_points_of_a_pure_colour_have_no_light_in_the_other_channels():
+    psf = np.zeros((5, 5, 3))
+    psf[1:4, 1:4, 0] = 1.0 / 3.0
+    assert direct_points(psf).to_dense().sum(axis=(0, 1)).tolist() == pytest.approx([3.0, 0.0, 0.0])

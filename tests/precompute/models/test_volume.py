@@ -175,7 +175,7 @@ def test_camera_sets_the_scale():
         ({"anisotropy": 1.0}, "between -1 and 1"),
         ({"albedo": (1.0, 1.0)}, "three numbers"),
         ({"albedo": (0.0, 0.0, 0.0)}, "not all 0"),
-        ({"image": "x.png"}, "'volume' has no option 'image'; its own are: medium_density"),
+        ({"image": "x.png"}, "'volume' has no image; its own are: medium_density"),
     ],
 )
 def test_impossible_media_are_refused(options, message):

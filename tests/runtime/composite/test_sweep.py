@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spreadlets.runtime.composite.sweep import sweep_blur, sweep_spans
+from spreadlets.runtime.composite.sweep import reduction, sweep_blur, sweep_spans
 
 
 def naive(image, radius, path):
@@ -73,3 +73,10 @@ def test_a_blur_within_a_pixel_changes_nothing():
 @pytest.mark.parametrize("radius", [3.0, 30.0])
 def test_one_value_stays_that_value(radius):
     assert np.abs(sweep_blur(np.full((40, 50), 0.7, np.float32), radius, (5.0, 2.0)) - 0.7).max() < 1e-6
+
+
+@pytest.mark.parametrize(("radius", "path"), [(1e9, (0.0, 0.0)), (3.0, (1e30, -1e30)), (1e30, (0.0, 0.0))])
+def test_a_blur_wider_than_any_image_is_the_mean_and_costs_no_more(radius, path):
+    image = np.random.default_rng(0).random((40, 50)).astype(np.float32)
+    assert reduction(radius, path) <= 1 << 24  # the work grows with it
+    assert np.abs(sweep_blur(image, radius, path) - image.mean()).max() < 1e-6

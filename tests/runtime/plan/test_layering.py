@@ -244,6 +244,15 @@ def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     assert behind_both.sum() == pytest.approx(1.0), "only what met nothing passes the second layer, too"
 
 
+@pytest.mark.parametrize("moments", [Moments(1e9, 1e18, 0.0, (0.0, 0.0)), Moments(0.0, 0.0, 1e16, (1e8, 0.0))])
+def test_samples_behind_what_blurs_over_many_frames_count_evenly(moments):
+    layer = np.ones((9, 12), np.int32)
+    layer[:, :6] = 0
+    lens, time = np.zeros((9, 12, 2), np.float32), np.zeros((9, 12), np.float32)
+    found = passing_samples([(members_of(layer), lens, lens, time)], 0, moments)
+    assert np.abs(found - 0.5).max() < 0.02
+
+
 @pytest.mark.interpreted
 def test_scattering_keeps_the_number_of_samples():
     rng = np.random.default_rng(0)

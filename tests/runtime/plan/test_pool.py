@@ -77,6 +77,16 @@ def test_splats_are_those_of_every_sample(border, n):
     assert all(found[key] == pytest.approx(expected[key], rel=1e-5, abs=1e-7) for key in found)
 
 
+def test_what_is_moved_farther_than_any_frame_is_drawn_from_the_border_alone():
+    radiance, weight, label, _, limit = make_samples(np.random.default_rng(0), border=True)
+    label[:], limit[:] = 0, np.inf
+    shift = np.full((H, W, 2), 1e12, np.float32)  # to the right and down: what is seen repeats the first pixel
+    splats = pooled([(radiance, weight, label, shift, limit)])
+    found, far = as_dict(splats), REACHES[0]
+    assert found.keys() == {(0, y, x) for y in range(-far, H + far) for x in range(-far, W + far)}
+    assert all(value == pytest.approx(radiance[0, 0] * weight[0, 0], rel=1e-6) for value in found.values())
+
+
 def test_each_place_and_label_comes_once_by_rows_then_labels_then_columns():
     rng = np.random.default_rng(4)
     splat = pooled([make_samples(rng, border=True, spread=1.0) for _ in range(4)])[0]

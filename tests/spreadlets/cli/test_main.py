@@ -269,6 +269,13 @@ def test_an_option_that_suits_no_frame_stops_a_sequence_at_once(run, shot, small
     assert status == 2 and out == "" and err.count("\n") == 1 and "layers" in err
 
 
+def test_a_counter_of_the_output_alone_is_refused(run, shot, small_combined_path):
+    options = ("--camera", shot / "camera.json", "--db", small_combined_path)
+    status, _, err = run("synth", shot / "shot.0001.exr", "-o", shot / "out.%04d.exr", *options)
+    assert status == 2 and "out.%04d.exr has a counter, but nothing that is read has one" in err
+    assert not list(shot.glob("out*"))
+
+
 def test_a_hash_in_a_folders_name_is_no_counter(run, shot, small_combined_path):
     folder = shot / "take#2"
     folder.mkdir()
@@ -333,7 +340,7 @@ def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):
         assert (aperture["blades"], aperture["squeeze"]) == (5, 0.8)
     for model, option, value in (("volume", "--blades", "5"), ("combined", "--lens", "singlet")):
         status, _, err = run("build", model, "-o", tmp_path / "none.h5", option, value)
-        assert status == 2 and f"the model '{model}' has no option '{option[2:]}'" in err
+        assert status == 2 and f"the model '{model}' has no {option}" in err
     assert not (tmp_path / "none.h5").exists()
 
 

@@ -10,6 +10,7 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.files import exr_frames as exr
 from spreadlets.files import images
 from spreadlets.files.exr_chunks import read_attributes
+from spreadlets.files.pictures import read_picture
 from spreadlets.files.png_tiff import in_steps
 from spreadlets.scene.display import display_encode
 from spreadlets.scene.raster import Attribute, Raster, Window
@@ -206,3 +207,10 @@ def test_pictures_are_in_the_primaries_of_a_display(tmp_path):
     images.write_image(tmp_path / "out.png", red, raster=raster)
     found = imread(tmp_path / "out.png").reshape(-1, 3).mean(axis=0)
     assert found[0] > 240 and found[1:].max() < 40
+
+
+def test_a_picture_of_integers_is_stored_as_it_is(tmp_path):
+    codes = np.random.default_rng(0).integers(0, 256, (9, 12, 3), np.uint8)
+    images.write_image(tmp_path / "picture.png", codes)
+    shown = display_encode(read_picture(tmp_path / "picture.png").radiance) * 255
+    assert np.abs(shown - codes).max() < 0.01

@@ -240,3 +240,10 @@ def test_from_layers_refuses_no_layers_other_things_and_other_shapes():
         Frame.from_layers([frame, "x"])
     with pytest.raises(InvalidFrameError, match=r"layer 1 is displayed as 2 x 2 px at \(0, 0\), layer 0 as 6 x 4 px"):
         Frame.from_layers([frame, (np.ones((2, 2, 3)), np.ones((2, 2)))])
+
+
+def test_values_under_a_mask_are_not_taken():
+    values = arrays()
+    values["depth"] = np.ma.masked_less(values["depth"], np.inf)
+    with pytest.raises(InvalidFrameError, match="depth is masked in places"):
+        Frame(**values)

@@ -246,3 +246,18 @@ def test_the_command_prints_a_summary(folder, monkeypatch, tmp_path, own):
 def test_without_any_frame_there_is_one_error(tmp_path):
     with pytest.raises(InvalidParameterError, match="no frame to run on"):
         run_bench([], tmp_path)
+
+
+def test_a_folder_without_frames_is_refused_and_not_replaced_by_the_frame_that_ships(tmp_path):
+    for folder in (tmp_path, tmp_path / "none"):
+        result = CliRunner().invoke(cli, ["bench", "--frames", str(folder), "--out", str(tmp_path / "out")])
+        assert isinstance(result.exception, InvalidParameterError | SystemExit)
+        assert "holds no frame" in f"{result.output}{result.exception}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_layers_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
+    for name in ("a.json", "a_ref_dofmb.exr", "a_pinhole.exr", *(f"a_layer{number}.exr" for number in range(12))):
+        (tmp_path / name).touch()
+    (subject,) = subjects_in(tmp_path)
+    assert [path.name for path in subject.layer_files] == [f"a_layer{number}.exr" for number in range(12)]
