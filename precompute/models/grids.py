@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
-from spreadlets.errors import InvalidParameterError
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.models import option_names
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.model import PsfGrid, get_model
@@ -22,9 +23,18 @@ def model_grid(
     max_motion: float | None = None,
     **options: Any,
 ) -> PsfGrid:
-    """Return the grid that a build with these arguments has; None stands for the model's own value."""
+    """Return the grid that a build with these arguments has; None stands for the model's own value.
+
+    Raises
+    ------
+    InvalidParameterError
+        If a range is not above 0, or what `model_settings` refuses.
+    """
     given = {"max_coc": max_coc, "max_motion": max_motion}
     ranges = {key: value for key, value in given.items() if value is not None}
+    for name, value in ranges.items():
+        if not 0.0 < value < math.inf:
+            raise InvalidParameterError(f"{option(name)} is {value}: needed is a finite number of px above 0")
     return PsfGrid.of(get_model(model, **ranges, settings=model_settings(model, options)), samples)
 
 
