@@ -137,6 +137,10 @@ class Options(Controls):
         # Layers of depth.
         if self.layers is not None:
             check_value("layers", self.layers, f"1 to {MAX_LAYERS}", self.layers in range(1, MAX_LAYERS + 1))
+            if self.method == "gather" and self.layers > 1:
+                raise InvalidParameterError(
+                    f"{option('layers')} is {self.layers}: the method 'gather' filters a frame without dividing it"
+                )
         if self.softness is not None:
             check_value("softness", self.softness, "0 (hard layers) to 1 (soft)", 0.0 <= self.softness <= 1.0)
         # What is done to the image.

@@ -30,6 +30,7 @@ import numba.core.event
 import platformdirs
 from llvmlite.binding import parse_assembly, parse_bitcode
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.runtime.nrt import rtsys
 
 Kernel = Callable[..., Any]
 
@@ -148,6 +149,23 @@ def _state_of_kernels() -> str:
     return digest.hexdigest()
 
 
+@cache
+def _import_functions() -> None:
+    """Import Numba's functions on arrays, to compile, without SciPy's linear algebra, which takes as long again.
+
+    All that they would take from it is the inner product of `numpy.convolve`, which kernels do not use; Numba has its
+    own.
+    """
+    unknown = "scipy.linalg" not in sys.modules
+    if unknown:
+        sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        if unknown:
+            del sys.modules["scipy.linalg"]
+
+
 class _Place(_CacheLocator):
     """Where Numba keeps a kernel: in one folder, whatever folder its source is in."""
 
@@ -178,6 +196,11 @@ class _KernelCacheImpl(CompileResultCacheImpl):
 
     _locator_classes = [_Place]
 
+    def reduce(self, compiled: Any) -> Any:
+        *described, environments = super().reduce(compiled)  # type: ignore[no-untyped-call]
+        # What has no constants is never looked into, and would import the module of Numba's that it comes from.
+        return (*described, tuple(each for each in environments if each.consts))
+
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         if not _is_taken_apart:
             return super().rebuild(target_context, payload)  # type: ignore[no-untyped-call]
@@ -200,7 +223,14 @@ class _KernelCache(FunctionCache):
         if not _announcement.depth:
             _first_calls.append((self._py_func.__module__, self._py_func.__name__, signature))
         try:
-            return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+            if not _is_taken_apart:
+                _import_functions()
+                return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+            # Numba would take in all that it can compile, which takes as long as loading all kernels of a run; what has
+            # been compiled only needs what manages memory.
+            rtsys.initialize(target_context)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
         except OSError:
             return None
         except (EOFError, pickle.UnpicklingError, AttributeError, ImportError):
@@ -226,6 +256,7 @@ class _Announcement(numba.core.event.Listener):
 
     def on_start(self, event: numba.core.event.Event) -> None:
         if not self.depth:
+            _import_functions()
             self.collects = gc.isenabled()
             gc.disable()
         self.depth += 1
@@ -241,23 +272,6 @@ class _Announcement(numba.core.event.Listener):
             gc.enable()
 
 
-def _import_functions() -> None:
-    """Import Numba's functions on arrays without SciPy's linear algebra, which takes as long as half of Numba does.
-
-    All that they would take from it is the inner product of `numpy.convolve`, which kernels do not use; Numba has its
-    own.
-    """
-    unknown = "scipy.linalg" not in sys.modules
-    if unknown:
-        sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        if unknown:
-            del sys.modules["scipy.linalg"]
-
-
-_import_functions()
 _announcement = _Announcement()
 numba.core.event.register("numba:compile", _announcement)  # type: ignore[no-untyped-call]
 

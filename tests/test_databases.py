@@ -12,12 +12,13 @@ from spreadlets.precompute.build.build import build_database
 from spreadlets.precompute.models.grids import ALGORITHM_VERSION
 from spreadlets.precompute.models.registry import trace_psf
 from spreadlets.precompute.sparsify.preparation import split_spike
+from spreadlets.psf import database_file
 from spreadlets.psf.database import open_database
 
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
 FRESH = "built from scratch"
 
-N_SAMPLED = {"volume": 4, "stylized": 12, "physicallens": 12}
+N_SAMPLED = {"volume": 3, "stylized": 8, "physicallens": 8}
 """Spreadlets that are traced and reconstructed in each database, spread evenly over its cells; of others as many as
 `USUALLY_SAMPLED`. Some take long to trace."""
 USUALLY_SAMPLED = 24
@@ -160,6 +161,7 @@ def test_databases_that_ship_are_of_the_algorithm_that_ships(path):
 def test_databases_that_ship_can_be_extended(path, tmp_path, monkeypatch):
     """By nothing: all of it is kept, so that no cell is made anew. What is drawn between cells is judged elsewhere."""
     monkeypatch.setattr(between_cells, "N_COORDINATES", 2)
+    monkeypatch.setattr(database_file, "GZIP_LEVEL", 1)  # is quicker
     copy = tmp_path / path.name
     copy.write_bytes(path.read_bytes())
     made = []

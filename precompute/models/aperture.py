@@ -184,6 +184,10 @@ class Aperture:
         return self.squeeze * stretch * u, stretch * v
 
 
+PARTS = {"blade_curvature": "blades", "rotation": "blades", "cats_eye_angle": "cats_eye"}
+"""Parameters that mean nothing without another."""
+
+
 def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of an aperture and a shutter; none for a round, even one.
 
@@ -197,9 +201,14 @@ def read_settings(shutter_curve: Sequence[float] | str | None, shape: Mapping[st
     Raises
     ------
     InvalidParameterError
-        If a value is out of its range, or nothing lets light through.
+        If a value is out of its range or of a part that is not there, or nothing lets light through.
     """
     aperture = Aperture(**shape)
+    for name, of in PARTS.items():
+        if getattr(aperture, name) and not getattr(aperture, of):
+            raise InvalidParameterError(
+                f"{option(name)} is {getattr(aperture, name)}: without {option(of)} it is of nothing"
+            )
     curve = None if shutter_curve is None else read_curve(shutter_curve)
     if aperture == Aperture() and curve is None:
         return {}

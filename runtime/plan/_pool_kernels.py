@@ -1,4 +1,4 @@
-"""Compiled kernels that sort the splats of stochastic samples by place and PSF, and add up those that agree."""
+"""Compiled kernels that add up the splats of pixels that agree in place and PSF."""
 
 from typing import NamedTuple
 
@@ -7,21 +7,19 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._vector_kernels import add, load, multiply, store
 from spreadlets.runtime.plan._border_kernels import dimming
 
+_U = np.uint64
 STEP_BITS = 4
 STEPS_PER_PIXEL = 1 << STEP_BITS
 """A splat's centre is placed to 1/16 px; what lies between pixels is split bilinearly."""
 FARTHEST_STEP = 1 << 30
 """Farthest that a centre is placed from its pixel, in these: beyond any frame, and held by an int32."""
-
-
-class Splats(NamedTuple):
-    """A list of splats: labels (n,) and columns (n,), int32; weighted colours (n, 4), float32."""
-
-    label: npt.NDArray[np.int32]
-    col: npt.NDArray[np.int32]
-    radiance: Image
+SPREAD_BITS = 30
+SPREAD = (663608943, 444758425)
+"""Multiples of line and column, in units of 2 to the power of -`SPREAD_BITS`, whose fraction says where in a table a
+sum is looked for: the golden ratio and the root of 2, by which neighbours lie apart evenly (multiplicative hashing)."""
 
 
 class Stepped(NamedTuple):
@@ -37,15 +35,24 @@ class Stepped(NamedTuple):
     at: npt.NDArray[np.int32]
 
 
-class Pooled(NamedTuple):
-    """Sums of splats as if all were one row of pixels: colours (m, 4); labels (m,), int32; shifts (m, 2), int32.
+class Sums(NamedTuple):
+    """Sums of splats by label and place, in the order in which these came up.
 
-    A shift holds the row, and the column less the place in the list.
+    Attributes
+    ----------
+    slot : ndarray of shape (n_slots,), int32
+        Numbers of sums; -1 where there is none.
+    key : ndarray of shape (most,), int64
+        What each is of: ``(row * n_labels + label) * n_cols + col``.
+    radiance : ndarray of shape (4 * most,), float32
+    n_sums : int
+        How many there are.
     """
 
+    slot: npt.NDArray[np.int32]
+    key: npt.NDArray[np.int64]
     radiance: Image
-    label: npt.NDArray[np.int32]
-    shift: npt.NDArray[np.int32]
+    n_sums: int
 
 
 class Sides(NamedTuple):
@@ -80,9 +87,31 @@ def place_steps(begin, end, shift, label, wide, steps):
                 steps[row, col, axis] = np.int32(min(max(step, -FARTHEST_STEP), FARTHEST_STEP))
 
 
+@helper
+def _continued(row, col, shape, padding, down, across, far):
+    """Return the first and the last row, and column, that a pixel is drawn in: of one on the border, also beyond it.
+
+    Of these, what is drawn so many rows down and columns across lies in reach of the frame.
+    """
+    top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
+    bottom = row + (padding.below if row == shape[0] - 1 else 0)
+    right = col + (padding.right if col == shape[1] - 1 else 0)
+    top, bottom = max(top, -far - 1 - down), min(bottom, shape[0] + far - 1 - down)
+    left, right = max(left, -far - 1 - across), min(right, shape[1] + far - 1 - across)
+    return top, bottom, left, right
+
+
+@helper
+def _place(places, i, j):
+    """Return row and column in the frame of a pixel."""
+    if len(places):
+        return np.int64(places[i, j, 0]), np.int64(places[i, j, 1])
+    return i, j
+
+
 @kernel
-def list_splats(begin, end, pixels, shape, limit, padding, reach, first_row, at, splats):
-    """Count the splats of labelled pixels in each row of the image, or list them.
+def list_pixels(begin, end, pixels, frame, reach, rows, at, n_splats, listed):
+    """Count the labelled pixels whose splats reach each block of rows of the image, or list them.
 
     A splat whose centre lies between pixels becomes up to four. Beyond the frame's border, the nearest pixel in it is
     drawn again. What cannot reach the frame is left out.
@@ -90,145 +119,134 @@ def list_splats(begin, end, pixels, shape, limit, padding, reach, first_row, at,
     Parameters
     ----------
     pixels : Stepped
-    shape : tuple of two ints
-        Height and width of the frame.
-    limit : ndarray of shape (h, w), float32
-        How bright they may be beyond the border, see `runtime.plan.border.border_limit`; not read without padding.
-    padding : Sides
+    frame : tuple
+        Height and width of the frame, and its padding, `Sides`.
     reach : ndarray of shape (n_variants,), int64
         How far each variant reaches from its centre, px.
-    first_row : int
-        The first row in which there may be a splat.
-    at : ndarray of shape (n_chunks, n_rows), int64
-        For each chunk of the frame's rows and each row of splats, where the next splat goes in the list; increased.
-        From zeros on, it counts.
-    splats : Splats
-        Filled, or empty just to count.
+    rows : tuple of two ints
+        The first row in which there may be a splat, and the rows of a block.
+    at : ndarray of shape (n_chunks, n_blocks), int64
+        For each chunk of the pixels' rows and each block, where the next pixel goes in the list; increased. From zeros
+        on, it counts.
+    n_splats : ndarray of shape (n_chunks,), int64
+        Filled with how many splats each chunk has at most.
+    listed : ndarray of shape (n,), int32
+        Filled with numbers of pixels in raster order, or empty just to count.
     """
     radiance, weight, label, steps, places = pixels
-    listed_label, listed_col, listed_radiance = splats
-    (n_rows, n_cols), (height, width), n_chunks = label.shape, shape, len(at)
+    shape, padding = frame
+    (n_rows, n_cols), n_chunks, (first_row, block_rows) = label.shape, len(at), rows
     for chunk in range(begin, end):
+        n_splats[chunk] = 0
         for i in range(chunk * n_rows // n_chunks, (chunk + 1) * n_rows // n_chunks):
             for j in range(n_cols):
                 index = label[i, j]
                 if index < 0 or weight[i, j] == 0:
                     continue
-                row, col = i, j
-                if len(places):
-                    row, col = np.int64(places[i, j, 0]), np.int64(places[i, j, 1])
-                red, green = radiance[i, j, 0], radiance[i, j, 1]
-                blue, alpha = radiance[i, j, 2], radiance[i, j, 3]
-                if red == 0 and green == 0 and blue == 0 and alpha == 0:
+                r, g, b, alpha = radiance[i, j, 0], radiance[i, j, 1], radiance[i, j, 2], radiance[i, j, 3]
+                if r == 0 and g == 0 and b == 0 and alpha == 0:
                     continue
+                row, col = _place(places, i, j)
                 # Shifts and masks take the floor of negative steps, too.
                 step_y, step_x, far = np.int64(steps[i, j, 0]), np.int64(steps[i, j, 1]), reach[index % len(reach)]
-                part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
-                # What lies on the border is drawn again beyond it, as far as it was found to reach back.
-                top, left = row - (padding.above if row == 0 else 0), col - (padding.left if col == 0 else 0)
-                bottom = row + (padding.below if row == height - 1 else 0)
-                right = col + (padding.right if col == width - 1 else 0)
-                # Of these, what is drawn lies in reach of the frame.
-                moved_y, moved_x = step_y >> STEP_BITS, step_x >> STEP_BITS
-                top, bottom = max(top, -far - 1 - moved_y), min(bottom, height + far - 1 - moved_y)
-                left, right = max(left, -far - 1 - moved_x), min(right, width + far - 1 - moved_x)
-                for down in range(top, bottom + 1):
-                    for across in range(left, right + 1):
-                        light = np.float32(1.0)
-                        if down != row or across != col:
-                            light = dimming(radiance, i, j, limit, row, col)
-                        # Share it between the pixels around its centre.
-                        first_y, first_x = down + moved_y, across + moved_x
-                        for y in range(max(first_y, -far), min(first_y + 1 + (part_y > 0), height + far)):
-                            for x in range(max(first_x, -far), min(first_x + 1 + (part_x > 0), width + far)):
-                                place = at[chunk, y - first_row]
-                                at[chunk, y - first_row] = place + 1
-                                if not len(listed_label):
-                                    continue
-                                share = (STEPS_PER_PIXEL - part_y if y == first_y else part_y) * (
-                                    STEPS_PER_PIXEL - part_x if x == first_x else part_x
-                                )
-                                part = weight[i, j] * np.float32(share / STEPS_PER_PIXEL**2)
-                                listed_label[place], listed_col[place] = index, x
-                                lit = part * light
-                                listed_radiance[place, 0], listed_radiance[place, 1] = lit * red, lit * green
-                                listed_radiance[place, 2], listed_radiance[place, 3] = lit * blue, part * alpha
+                moved = step_y >> STEP_BITS, step_x >> STEP_BITS
+                top, bottom, left, right = _continued(row, col, shape, padding, *moved, far)
+                if top > bottom or left > right:
+                    continue
+                down, across = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
+                parts = (1 + (down > 0)) * (1 + (across > 0))
+                n_splats[chunk] += parts * (bottom - top + 1) * (right - left + 1)
+                first = max(top + (step_y >> STEP_BITS), -far)
+                last = min(bottom + (step_y >> STEP_BITS) + (down > 0), shape[0] + far - 1)
+                for block in range((first - first_row) // block_rows, (last - first_row) // block_rows + 1):
+                    place = at[chunk, block]
+                    at[chunk, block] = place + 1
+                    if len(listed):
+                        listed[place] = i * n_cols + j
 
 
 @helper
-def _counting_sort(values, order, count, result):
-    """Sort ``order`` by ``values[order]``, equal ones as they were, into ``result``; ``count`` has room for all values.
-
-    ``count`` has one place more than there are values, and is zero before and after.
-    """
-    for k in order:
-        count[values[k] + 1] += 1
-    for value in range(1, len(count)):
-        count[value] += count[value - 1]
-    for k in order:
-        place = count[values[k]]
-        count[values[k]] = place + 1
-        result[place] = k
-    count[:] = 0
+def _slot_of(slot, key, line, col, n_cols):
+    """Return the slot of a sum, or the free one where it belongs."""
+    wanted, spread = line * n_cols + col, (line * SPREAD[0] + col * SPREAD[1]) & ((1 << SPREAD_BITS) - 1)
+    place = _U((spread * len(slot)) >> SPREAD_BITS)
+    while slot[place] >= 0 and key[_U(slot[place])] != wanted:
+        place = place + _U(1) if place + _U(1) < _U(len(slot)) else _U(0)
+    return place
 
 
 @kernel
-def sort_rows(begin, end, label, col, row_start, n_labels, n_cols, order, n_places):
-    """Sort the splats of each row by label, then by column; count the different ones.
-
-    Parameters
-    ----------
-    label, col : ndarray of shape (n,), int32
-        Columns may not be negative.
-    row_start : ndarray of shape (n_rows + 1,), int64
-        The splats of each row.
-    n_labels, n_cols : int
-        One more than the largest of each.
-    order : ndarray of shape (n,), int64
-        Filled.
-    n_places : ndarray of shape (n_rows,), int64
-        Filled with the number of different (label, column) in each row.
-    """
-    of_label, of_col = np.zeros(n_labels + 1, np.int64), np.zeros(n_cols + 1, np.int64)
-    for row in range(begin, end):
-        first, last = row_start[row], row_start[row + 1]
-        by_col = np.empty(last - first, np.int64)
-        _counting_sort(col, np.arange(first, last), of_col, by_col)
-        _counting_sort(label, by_col, of_label, order[first:last])
-        n_places[row] = 0
-        for k in range(first, last):
-            i, j = order[k], order[k - 1]
-            n_places[row] += k == first or label[i] != label[j] or col[i] != col[j]
+def enter(begin, end, key, n_cols, slot):
+    """Enter the sums with numbers from ``begin`` to ``end`` into a table ``slot``, see `Sums`."""
+    for number in range(begin, end):
+        slot[_slot_of(slot, key, key[number] // n_cols, key[number] % n_cols, n_cols)] = number
 
 
 @kernel
-def add_up(begin, end, splats, order, row_start, place_start, first, pooled):
-    """Add up the splats of each row that have label and column in common.
+def add_splats(begin, end, listed, first, pixels, frame, limit, reach, sizes, sums):
+    """Add the splats of listed pixels in some rows of the image to the sums of their labels and places.
 
     Parameters
     ----------
-    splats : Splats
-    order, row_start : ndarray
-        See `sort_rows`.
-    place_start : ndarray of shape (n_rows + 1,), int64
-        Where the sums of each row go.
-    first : tuple of two ints
-        Row and column in the frame of row 0 and column 0.
-    pooled : Pooled
-        Filled.
+    begin, end : int
+        The rows.
+    listed : ndarray of shape (n,), int32
+        Numbers of pixels in raster order.
+    first : int
+        Where in this list to begin.
+    pixels : Stepped
+    frame, reach
+        See `list_pixels`.
+    limit : ndarray of shape (h, w), float32
+        How bright they may be beyond the border, see `runtime.plan.border.border_limit`; not read without padding.
+    sizes : tuple of three ints
+        Number of labels; the first column in which there may be a splat, and the number of columns.
+    sums : Sums
+        Changed.
+
+    Returns
+    -------
+    place : int
+        Where in the list there is no more room.
+    n_sums : int
+        How many there are.
     """
-    label, col, radiance = splats
-    sums, sum_label, shift = pooled
-    for row in range(begin, end):
-        place = place_start[row] - 1
-        for k in range(row_start[row], row_start[row + 1]):
-            i, j = order[k], order[k - 1]
-            if k == row_start[row] or label[i] != label[j] or col[i] != col[j]:
-                place += 1
-                sum_label[place] = label[i]
-                shift[place, 0] = first[0] + row
-                shift[place, 1] = first[1] + col[i] - place
-                for c in range(4):
-                    sums[place, c] = np.float32(0.0)
-            for c in range(4):
-                sums[place, c] += radiance[i, c]
+    radiance, weight, label, steps, places = pixels
+    ((height, width), padding), (n_labels, first_col, n_cols) = frame, sizes
+    slot, key, total, n = sums
+    colours = radiance.reshape(radiance.size)
+    for k in range(first, len(listed)):
+        number = np.int64(listed[k])
+        i, j = number // label.shape[1], number % label.shape[1]
+        index, step_y, step_x = np.int64(label[i, j]), np.int64(steps[i, j, 0]), np.int64(steps[i, j, 1])
+        row, col = _place(places, i, j)
+        whole_y, whole_x, far = step_y >> STEP_BITS, step_x >> STEP_BITS, reach[index % len(reach)]
+        top, bottom, left, right = _continued(row, col, (height, width), padding, whole_y, whole_x, far)
+        # Arrays do not grow here: each time that it may be another one takes as long as what is done with it.
+        if n + (min(bottom - top, end - begin) + 2) * (right - left + 2) > len(key):
+            return k, n
+        part_y, part_x = step_y & (STEPS_PER_PIXEL - 1), step_x & (STEPS_PER_PIXEL - 1)
+        share, pixel = weight[i, j], load(colours, _U(4 * number))
+        # What lies on the border is drawn again beyond it, as far as it was found to reach back.
+        for down in range(max(top, begin - 1 - whole_y), min(bottom + 1, end - whole_y)):
+            for across in range(left, right + 1):
+                light = np.float32(1.0)
+                if down != row or across != col:
+                    light = dimming(radiance, i, j, limit, row, col)
+                # Share it between the pixels around its centre.
+                y0, x0 = down + whole_y, across + whole_x
+                for y in range(max(y0, -far, begin), min(y0 + 1 + (part_y > 0), height + far, end)):
+                    line, of_row = (y - begin) * n_labels + index, STEPS_PER_PIXEL - part_y if y == y0 else part_y
+                    for x in range(max(x0, -far), min(x0 + 1 + (part_x > 0), width + far)):
+                        of_pixel = of_row * (STEPS_PER_PIXEL - part_x if x == x0 else part_x)
+                        part = share * np.float32(of_pixel / STEPS_PER_PIXEL**2)
+                        # Find the sum that it goes into, or begin one.
+                        place = _slot_of(slot, key, line, x - first_col, n_cols)
+                        if slot[place] < 0:
+                            slot[place], key[n] = n, line * n_cols + x - first_col
+                            for c in range(4):
+                                total[4 * n + c] = np.float32(0.0)
+                            n += 1
+                        own, lit = _U(4) * _U(slot[place]), part * light
+                        store(total, own, add(load(total, own), multiply((lit, lit, lit, part), pixel)))
+    return len(listed), n

@@ -199,9 +199,10 @@ def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tupl
         else:
             pixel_sets = surface_pixels(frame_surfaces(layer, camera, effects, split_surfaces), camera, effects)
         for pixels in pixel_sets:
-            key, _ = _variant_keys(pixels, grid, cell_start)
+            given = _Given.of(pixels.labels, grid, cell_start)
+            key, _ = _variant_keys(pixels, given)
             # Whether a bright pixel is a highlight is not known yet: it may need either.
-            shared = _shared_keys(pixels, grid, cell_start, key.copy(), NOWHERE, _bright(pixels))
+            shared = _shared_keys(pixels, given, key.copy(), NOWHERE, _bright(pixels))
             found = np.union1d(key, shared)
             variants = _decoded(found[found >= 0], cell_start)
             needed |= {(variant.cell, variant.pose) for variant in variants if variant != SHARP}
@@ -291,15 +292,16 @@ def _choose(
 ) -> _Choice:
     """Choose the PSF of each pixel, and read just those that are in use."""
     # Find the cell, the pose and the scale of each pixel: its variant.
-    keys, excess = zip(*(_variant_keys(each, database.grid, database.cell_start) for each in pixel_sets), strict=True)
+    given = [_Given.of(each.labels, database.grid, database.cell_start) for each in pixel_sets]
+    keys, excess = zip(*map(_variant_keys, pixel_sets, given), strict=True)
     _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
     highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
     if shared:
-        sets = zip(pixel_sets, keys, highlights.places, strict=True)
-        keys = tuple(
-            _shared_keys(each, database.grid, database.cell_start, key, own, _bright(each)) for each, key, own in sets
-        )
+        sets = zip(pixel_sets, given, keys, highlights.places, strict=True)
+        keys = tuple(_shared_keys(each, known, key, own, _bright(each)) for each, known, key, own in sets)
+    # What the kernels are given is as large as what they find.
+    del given
     # Number the variants in use.
     used, indices = _numbered(keys)
     streaks = FIRST_STREAK - used[used <= FIRST_STREAK]
@@ -364,35 +366,24 @@ def _lay_out(
     return Drawing(sources, table, chosen.n_variants, n_layers, pixel_sets[0].labels.view.corner, error_bound)
 
 
-def _variant_keys(
-    pixels: Pixels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _variant_keys(pixels: Pixels, given: _Given) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the key of each pixel's variant, and each row's excess over the range: see the kernel."""
     key = np.empty(pixels.labels.coc.shape, np.int64)
     excess = np.empty((len(key), 3), np.float64)
-    given = _Given.of(pixels.labels, _coordinates(pixels.labels, grid), grid, cell_start)
     colour = pixels.radiance, pixels.weight
-    asked = given.coordinate, given.pose, given.tables, given.sizes
-    for_bands(_plan_kernels.variant_keys, len(key), colour, *asked, key, excess)
+    for_bands(_plan_kernels.variant_keys, len(key), colour, *given, key, excess)
     return key, excess
 
 
 def _shared_keys(
-    pixels: Pixels,
-    grid: PsfGrid,
-    cell_start: npt.NDArray[np.int64],
-    key: npt.NDArray[np.int64],
-    apart: npt.NDArray[np.int64],
-    limit: float,
+    pixels: Pixels, given: _Given, key: npt.NDArray[np.int64], apart: npt.NDArray[np.int64], limit: float
 ) -> npt.NDArray[np.int64]:
     """Let blocks of bright pixels share out the cells about their coordinate, see the kernel; return the same keys.
 
     Those of the pixels ``apart``, by their numbers in raster order, stay.
     """
-    labels, stay = pixels.labels, key.ravel()[apart]
-    given = _Given.of(labels, coordinates(labels, grid.model), grid, cell_start)
-    listed = labels.view.places
-    places = PixelPlaces(labels.view.corner, NO_SHIFT if listed is None else listed.at)
+    view, stay = pixels.labels.view, key.ravel()[apart]
+    places = PixelPlaces(view.corner, NO_SHIFT if view.places is None else view.places.at)
     asked = given.coordinate, given.pose, places, given.tables, given.sizes
     key.ravel()[apart] = _plan_kernels.INVISIBLE
     for_bands(_plan_kernels.share_out, len(key), pixels.radiance, limit, *asked, key)
@@ -422,15 +413,9 @@ class _Given(NamedTuple):
     sizes: Sizes
 
     @classmethod
-    def of(
-        cls,
-        labels: Labels,
-        coordinate: tuple[npt.NDArray[np.float32], ...],
-        grid: PsfGrid,
-        cell_start: npt.NDArray[np.int64],
-    ) -> _Given:
-        """Collect it for pixels of some labels and coordinates."""
-        model, nested = grid.model, grid.nested
+    def of(cls, labels: Labels, grid: PsfGrid, cell_start: npt.NDArray[np.int64]) -> _Given:
+        """Collect it for pixels of some labels."""
+        model, nested, coordinate = grid.model, grid.nested, _coordinates(labels, grid)
         scaling = np.array([axis.scales for axis in model.axes])
         share = np.array([EXTENT_SHARES.get(axis.name, 0.0) for axis in model.axes])
         # Where more than lens and motion blurs, no PSF stays within its pixel.

@@ -15,16 +15,22 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import Image
-from spreadlets.parallel import for_bands, for_blocks
+from spreadlets.parallel import for_bands, for_blocks, for_each
 from spreadlets.runtime.label.labels import NO_SHIFT
 from spreadlets.runtime.plan import _pool_kernels
-from spreadlets.runtime.plan._pool_kernels import Pooled, Sides, Splats, Stepped
+from spreadlets.runtime.plan._pool_kernels import Sides, Stepped, Sums
 from spreadlets.runtime.splat.passes import SplatPass
 
 CHUNKS = 16
 """Parts of the rows of pixels that are listed independently; fixed, so that sums are the same for any thread count."""
+BLOCK_ROWS = 16
+"""Rows of the image that are added up at a time: few enough for a processor's own memory."""
+LEAST_SUMS = 1024
+"""Sums that there is room for at first."""
+SLOTS_PER_SUM = 4
+"""Slots of the table in which sums are looked for: at least half of it stays empty."""
 MOST_SPLATS = 1 << 25
-"""Splats that are pooled at a time, 1 GiB."""
+"""Splats that are pooled at a time: some 2 GiB, if no two agree."""
 
 
 class PlacedPixels(NamedTuple):
@@ -100,33 +106,63 @@ def pool(
     """
     if not pixels or not len(reaches):
         return
-    far = int(reaches.max())
-    n_rows = shape[0] + 2 * far
-    counts = np.zeros((len(pixels), CHUNKS, n_rows), np.int64)
-    nothing = Splats(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4), np.float32))
-    for each, count in zip(pixels, counts, strict=True):
-        _list(each, shape, reaches, far, count, nothing)
-    sizes = counts.sum(axis=(1, 2))
+    image = _Image(shape, reaches, n_layers * len(reaches), int(reaches.max()))
+    sets = [_Set.of(each, image) for each in pixels]
+    sizes = [each.n_splats for each in sets]
     begin = 0
-    while begin < len(pixels):
+    while begin < len(sets):
         end = begin + max(1, int(np.searchsorted(np.cumsum(sizes[begin:]), MOST_SPLATS, side="right")))
-        if sizes[begin:end].any():
-            yield _pooled(pixels[begin:end], counts[begin:end], shape, reaches, far, n_layers)
+        if any(each.counts.any() for each in sets[begin:end]):
+            yield _pooled(sets[begin:end], image)
         begin = end
 
 
-def _list(
-    pixels: PlacedPixels,
-    shape: tuple[int, int],
-    reaches: npt.NDArray[np.int64],
-    far: int,
-    at: npt.NDArray[np.int64],
-    splats: Splats,
-) -> None:
-    """Count or list the splats of pixels, see the kernel."""
-    padding = _padding(pixels, shape, reaches) if len(pixels.limit) else Sides(0, 0, 0, 0)
-    drawn = Stepped(*pixels[:5]), shape, pixels.limit, padding, reaches, -far
-    for_blocks(_pool_kernels.list_splats, len(at), *drawn, at, splats)
+class _Image(NamedTuple):
+    """Where splats go: height and width of the frame; how far each variant reaches; labels; the farthest reach, px."""
+
+    shape: tuple[int, int]
+    reaches: npt.NDArray[np.int64]
+    n_labels: int
+    far: int
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks of rows in which there may be splats."""
+        return -(-(self.shape[0] + 2 * self.far) // BLOCK_ROWS)
+
+
+class _Set(NamedTuple):
+    """Pixels, how far the frame is continued for them, how many reach each block (chunks, blocks), and their splats."""
+
+    pixels: Stepped
+    limit: Image
+    padding: Sides
+    counts: npt.NDArray[np.int64]
+    n_splats: int
+
+    @classmethod
+    def of(cls, pixels: PlacedPixels, image: _Image) -> _Set:
+        """Count the splats of pixels."""
+        padding = _padding(pixels, image.shape, image.reaches) if len(pixels.limit) else Sides(0, 0, 0, 0)
+        counts, nothing = np.zeros((CHUNKS, image.n_blocks), np.int64), np.zeros(0, np.int32)
+        unlisted = cls(Stepped(*pixels[:5]), pixels.limit, padding, counts, 0)
+        return unlisted._replace(n_splats=unlisted._list(image, counts, nothing))
+
+    def listed(self, image: _Image) -> list[npt.NDArray[np.int32]]:
+        """Return the numbers of the pixels that reach each block."""
+        ends = np.cumsum(self.counts.T)
+        at = np.ascontiguousarray((ends - self.counts.T.ravel()).reshape(self.counts.T.shape).T)
+        listed = np.empty(ends[-1], np.int32)
+        if len(listed):
+            self._list(image, at, listed)
+        return np.split(listed, ends[CHUNKS - 1 : -1 : CHUNKS])
+
+    def _list(self, image: _Image, at: npt.NDArray[np.int64], listed: npt.NDArray[np.int32]) -> int:
+        """Count or list the pixels, see the kernel; return how many splats they have at most."""
+        n_splats = np.empty(CHUNKS, np.int64)
+        given = self.pixels, (image.shape, self.padding), image.reaches, (-image.far, BLOCK_ROWS)
+        for_blocks(_pool_kernels.list_pixels, CHUNKS, *given, at, n_splats, listed)
+        return int(n_splats.sum())
 
 
 def _padding(pixels: PlacedPixels, shape: tuple[int, int], reaches: npt.NDArray[np.int64]) -> Sides:
@@ -143,32 +179,43 @@ def _padding(pixels: PlacedPixels, shape: tuple[int, int], reaches: npt.NDArray[
     return Sides(*found)
 
 
-def _pooled(
-    pixels: Sequence[PlacedPixels],
-    counts: npt.NDArray[np.int64],
-    shape: tuple[int, int],
-    reaches: npt.NDArray[np.int64],
-    far: int,
-    n_layers: int,
-) -> SplatPass:
-    """Return the splats of pixels, added up."""
-    n_rows = counts.shape[2]
-    # All of a row together, in the order of pixels and chunks.
-    by_row = counts.reshape(-1, n_rows).T
-    ends = np.cumsum(by_row.ravel())
-    at = np.ascontiguousarray((ends - by_row.ravel()).reshape(by_row.shape).T).reshape(counts.shape)
-    row_start = np.concatenate([[0], ends[by_row.shape[1] - 1 :: by_row.shape[1]]])
-    total = int(row_start[-1])
-    splats = Splats(np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 4), np.float32))
-    for each, place in zip(pixels, at, strict=True):
-        _list(each, shape, reaches, far, place, splats)
-    first_col = int(splats.col.min())
-    splats.col[:] -= first_col
-    order, n_places = np.empty(total, np.int64), np.empty(n_rows, np.int64)
-    sizes = n_layers * len(reaches), int(splats.col.max()) + 1
-    for_bands(_pool_kernels.sort_rows, n_rows, splats.label, splats.col, row_start, *sizes, order, n_places)
-    place_start = np.concatenate([[0], np.cumsum(n_places)])
-    m = int(place_start[-1])
-    pooled = Pooled(np.empty((m, 4), np.float32), np.empty(m, np.int32), np.empty((m, 2), np.int32))
-    for_bands(_pool_kernels.add_up, n_rows, splats, order, row_start, place_start, (-far, first_col), pooled)
-    return SplatPass((0, 0), pooled.radiance[None], pooled.label[None], pooled.shift[None])
+def _pooled(sets: Sequence[_Set], image: _Image) -> SplatPass:
+    """Return the splats of pixels, added up, by rows, labels and columns."""
+    # List the pixels that reach each block of rows.
+    listed = [each.listed(image) for each in sets]
+    n_cols = image.shape[1] + 2 * image.far
+
+    def add_up(block: int) -> tuple[npt.NDArray[np.int64], Image]:
+        """Return keys, ascending, and sums of a block of rows."""
+        sums, begin = _room(LEAST_SUMS, n_cols), BLOCK_ROWS * block - image.far
+        for each, numbers in zip(sets, listed, strict=True):
+            given = each.pixels, (image.shape, each.padding), each.limit, image.reaches
+            sizes, place = (image.n_labels, -image.far, n_cols), 0
+            while place < len(numbers[block]):
+                place, n_sums = _pool_kernels.add_splats(
+                    begin, begin + BLOCK_ROWS, numbers[block], place, *given, sizes, sums
+                )
+                sums = sums._replace(n_sums=n_sums)
+                if place < len(numbers[block]):
+                    sums = _room(2 * len(sums.key), n_cols, sums)
+        order = np.argsort(sums.key[: sums.n_sums])
+        # Rows are counted from the first in which there may be splats.
+        return sums.key[order] + BLOCK_ROWS * block * image.n_labels * n_cols, sums.radiance.reshape(-1, 4)[order]
+
+    # Add up the blocks, and read labels and places off their keys.
+    keys, radiance = zip(*for_each(add_up, range(image.n_blocks)), strict=True)
+    line, col = np.divmod(np.concatenate(keys), n_cols)
+    row, label = np.divmod(line, image.n_labels)
+    shift = np.stack([row - image.far, col - image.far - np.arange(len(col))], axis=-1)
+    return SplatPass((0, 0), np.concatenate(radiance)[None], label.astype(np.int32)[None], shift.astype(np.int32)[None])
+
+
+def _room(most: int, n_cols: int, sums: Sums | None = None) -> Sums:
+    """Return room for sums, of which some may be there."""
+    slot = np.full(SLOTS_PER_SUM * most, -1, np.int32)
+    key, radiance = np.empty(most, np.int64), np.empty(4 * most, np.float32)
+    if sums is None:
+        return Sums(slot, key, radiance, 0)
+    key[: sums.n_sums], radiance[: 4 * sums.n_sums] = sums.key[: sums.n_sums], sums.radiance[: 4 * sums.n_sums]
+    _pool_kernels.enter(0, sums.n_sums, key, n_cols, slot)
+    return Sums(slot, key, radiance, sums.n_sums)

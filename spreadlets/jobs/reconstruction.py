@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from spreadlets.errors import InvalidParameterError, option
 from spreadlets.jobs.job import Job, Progress, compared
 
 
@@ -53,6 +54,10 @@ class Reconstruction(Job):
             lens = camera_of(self.camera, self.lens, path)
             buffer = read_samples(path, camera=lens, repair=self.repair)
             truth = read_image(self.reference) if self.reference else None
+        if self.spp and self.spp > buffer.n_samples:
+            raise InvalidParameterError(
+                f"{option('spp')} is {self.spp}, but {path} holds {buffer.n_samples} samples of each pixel at most"
+            )
         # Clean the samples by the database that suits them.
         given = buffer.take(self.spp) if self.spp else buffer
         moving = bool(self.rendering.get("motion", True)) and bool(given.motion.any())

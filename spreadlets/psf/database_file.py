@@ -64,6 +64,8 @@ FILTER_SLACK = 1024
 GZIP, SHUFFLE, FLETCHER32 = 1, 2, 3
 """HDF5's identifiers of filters that it has built in; others would be plug-ins, libraries that it loads from a path."""
 
+GZIP_LEVEL = 9
+"""How hard zlib tries: a file is written once, and shipped and read often."""
 CHUNK_POINTS = 16384
 """Points that are compressed together: small enough to read a few cells, large enough to compress well."""
 WRITE_POINTS = 64 * CHUNK_POINTS
@@ -166,7 +168,7 @@ def _write_table(file: h5py.File, name: str, table: npt.NDArray[Any]) -> None:
 
 
 def _filters() -> dict[str, Any]:
-    return {"compression": "gzip", "compression_opts": 9, "shuffle": True, "fletcher32": True}
+    return {"compression": "gzip", "compression_opts": GZIP_LEVEL, "shuffle": True, "fletcher32": True}
 
 
 def _write_cells(file: h5py.File, n_channels: int, cells: Iterable[list[CellRecord]]) -> None:

@@ -9,6 +9,7 @@ from naive.psfs import capsule_psf, disc_coverage
 from spreadlets.api import synthesize as synthesize_any
 from spreadlets.errors import InvalidParameterError
 from spreadlets.metrics import psf_l1
+from spreadlets.runtime.options import Options
 from spreadlets.runtime.plan.variant import scaled
 from spreadlets.scene.camera import LensKey, ThinLens
 from spreadlets.scene.display import display_encode
@@ -393,6 +394,11 @@ def test_an_unknown_method_is_named(small_combined):
         InvalidParameterError, match="method 'magic' is unknown: allowed are spreadlets, dense, dense-rows, gather"
     ):
         synthesize_any(spot_frame(3, 3, 1.0), CAMERA, small_combined, method="magic")
+
+
+def test_a_filter_has_no_layers():
+    with pytest.raises(InvalidParameterError, match="layers is 2: the method 'gather' filters a frame without"):
+        Options(layers=2, method="gather")
 
 
 def test_a_model_without_motion_draws_it_as_one_with_motion_does(tmp_path, small_combined):

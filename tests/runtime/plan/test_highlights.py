@@ -61,10 +61,10 @@ def count_of(frame, database):
     """How many pixels are drawn with PSFs of their own."""
     from spreadlets.precompute.models.registry import exact_psf
     from spreadlets.runtime.label.pixels import frame_pixels
-    from spreadlets.runtime.plan.plan import _variant_keys
+    from spreadlets.runtime.plan.plan import _Given, _variant_keys
 
     passes = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
-    keys = [_variant_keys(each, database.grid, database.cell_start)[0] for each in passes]
+    keys = [_variant_keys(each, _Given.of(each.labels, database.grid, database.cell_start))[0] for each in passes]
     model = database.grid.model
     return sum(map(len, highlights.find_highlights(passes, keys, model, exact_psf(model)).places))
 
@@ -93,13 +93,16 @@ def test_light_that_shows_makes_a_highlight(small_combined):
 def test_the_pixels_of_a_lamp_share_one_psf(small_combined):
     from spreadlets.precompute.models.registry import exact_psf
     from spreadlets.runtime.label.pixels import frame_pixels
-    from spreadlets.runtime.plan.plan import _variant_keys
+    from spreadlets.runtime.plan.plan import _Given, _variant_keys
 
     frame = lamp_frame(10.0, path=(4.0, 3.0))
     frame.radiance[MIDDLE - 1 : MIDDLE + 2, MIDDLE - 1 : MIDDLE + 2] = 900.0
     frame.depth[MIDDLE] = depth_of(10.02)
     passes = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
-    keys = [_variant_keys(each, small_combined.grid, small_combined.cell_start)[0] for each in passes]
+    keys = [
+        _variant_keys(each, _Given.of(each.labels, small_combined.grid, small_combined.cell_start))[0]
+        for each in passes
+    ]
     model = small_combined.grid.model
     found = highlights.find_highlights(passes, keys, model, exact_psf(model))
     assert len(found.psfs) == 1 and len(found.places[0]) == 9

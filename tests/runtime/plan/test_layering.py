@@ -637,7 +637,7 @@ def test_fewer_samples_can_be_asked_for(files, small_combined_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--spp", "3"), "2"),
+        (("--spp", "3"), "--spp is 3, but"),
         (("--layers", "65"), "layers is 65: allowed are 1 to 64"),
         (("--softness", "2"), "softness is 2.0: allowed are 0"),
         (("--method", "magic"), "'magic' is not one of 'spreadlets', 'dense'"),

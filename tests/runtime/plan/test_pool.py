@@ -107,6 +107,16 @@ def test_many_samples_are_pooled_in_several_batches_of_the_same_sum(monkeypatch)
     assert all(found[key] == pytest.approx(whole[key], rel=1e-5) for key in found)
 
 
+@pytest.mark.interpreted
+def test_room_for_sums_grows_as_it_is_needed(monkeypatch):
+    rng = np.random.default_rng(10)
+    samples = [make_samples(rng, border=False) for _ in range(2)]
+    whole = pooled(samples)[0]
+    monkeypatch.setattr(pooling, "LEAST_SUMS", 1)
+    grown = pooled(samples)[0]
+    assert all(np.array_equal(a, b) for a, b in zip(whole[1:4], grown[1:4], strict=True))
+
+
 def test_sums_are_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(6)
     samples = [make_samples(rng, border=True) for _ in range(3)]

@@ -30,7 +30,7 @@ def keys_of(frame, database, apart=plan.NOWHERE, pixels=None):
     """Keys of a frame's pixels, of their nearest cells and after sharing out."""
     if pixels is None:
         (pixels,) = frame_pixels(frame.layers[0], CAMERA, defocus=True, motion=True)
-    given = pixels, database.grid, database.cell_start
+    given = pixels, plan._Given.of(pixels.labels, database.grid, database.cell_start)
     near = plan._variant_keys(*given)[0]
     return near, plan._shared_keys(*given, near.copy(), apart, 1.0)
 
@@ -116,6 +116,6 @@ def rim_error(coc, database):
 def test_the_rim_of_a_wide_bright_area_lies_where_it_should(small_combined, monkeypatch):
     radii = 8.6, 9.0, 9.4, 9.9, 10.4
     shared = [rim_error(coc, small_combined) for coc in radii]
-    monkeypatch.setattr(plan, "_shared_keys", lambda pixels, grid, cell_start, key, apart, limit: key)
+    monkeypatch.setattr(plan, "_shared_keys", lambda pixels, given, key, apart, limit: key)
     nearest = [rim_error(coc, small_combined) for coc in radii]
     assert max(shared) < 0.6 * max(nearest)
