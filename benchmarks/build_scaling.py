@@ -22,6 +22,7 @@ from spreadlets.files.cameras import read_camera
 from spreadlets.precompute.build.build import build_database
 from spreadlets.precompute.build.work import CellTask, build_unit, plan_units
 from spreadlets.precompute.models.grids import model_grid
+from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER
 from spreadlets.psf.model import PsfGrid
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,7 +39,8 @@ N_LENS_CELLS = 40
 
 def tasks_of(grid: PsfGrid, cells: np.ndarray | None = None) -> list[CellTask]:
     chosen = range(grid.n_cells) if cells is None else cells.tolist()
-    return [CellTask(grid, cell, tuple(range(grid.pose_counts[cell])), 1.0, None, 0, cell) for cell in chosen]
+    poses = [tuple(range(n)) for n in grid.pose_counts]
+    return [CellTask(grid, cell, poses[cell], 1.0, None, 0, cell, DEFAULT_SPARSIFIER) for cell in chosen]
 
 
 def lens_grid() -> PsfGrid:

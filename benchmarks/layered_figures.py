@@ -148,10 +148,8 @@ def gaussian(report: Report, scene: Scene) -> None:
             images[f"{method}, {aperture}"] = sp.reconstruct(samples, scene.camera, method=method, settings=settings)
     for name, image in images.items():
         report.row(f"{scene.name}, {name}", f"{psnr(image, truth):.2f}", f"{ssim(image, truth):.4f}")
-    names = "sheared, gaussian", "axis-aligned, gaussian", "mean, weighted"
-    save_row(
-        f"layered_gaussian_{scene.name}.png", [display_encode(each) for each in (*map(images.get, names), truth)], 3
-    )
+    shown = [images[name] for name in ("sheared, gaussian", "axis-aligned, gaussian", "mean, weighted")]
+    save_row("gaussian", scene, [display_encode(each) for each in (*shown, truth)], shrink=3)
 
 
 def steps(report: Report, scene: Scene) -> None:

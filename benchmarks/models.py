@@ -26,7 +26,8 @@ import spreadlets as sp
 from spreadlets.precompute.build.build import build_database
 from spreadlets.precompute.models.grids import model_grid
 from spreadlets.precompute.models.registry import trace_psf
-from spreadlets.precompute.sparsify import sparsify
+from spreadlets.precompute.sparsify import direct, fitted
+from spreadlets.precompute.sparsify.sparsify import sparsify
 from spreadlets.psf.database import Database, open_database
 from spreadlets.psf.model import PsfGrid
 from spreadlets.runtime.options import Options
@@ -65,18 +66,12 @@ WIDE = {
 """Grids up to a CoC of 256 px: their options. The lens is LKS's, a bi-convex singlet, wide open."""
 
 PRICES = (0.125, 0.25, 0.5, 1.0, 2.0)
-"""Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.sparsify.PRICE`."""
+"""Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.fitted.PRICE`."""
 
-UNBOUND = {
-    "WORST_LOSS": 0.2,
-    "MISJUDGED_LOSS": 1.0,
-    "THIN_RADIUS": 0.0,
-    "DIRECT_COST": 1.0,
-    "DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1),
-    "MAX_LEFT_OUT": 1.0,
-}
-"""Points count alike, drawn directly or not, and the mean alone counts, as in the figures of LKS."""
-
+UNBOUND = {"WORST_LOSS": 0.2, "MISJUDGED_LOSS": 1.0, "THIN_RADIUS": 0.0, "DIRECT_COST": 1.0}
+UNBOUND_DIRECT = {"DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1), "MAX_LEFT_OUT": 1.0}
+"""What takes the place of constants of `precompute.sparsify.fitted` and `direct`: points count alike, drawn directly or
+not, and the mean alone counts, as in the figures of LKS."""
 
 ENLARGED_DEPTH_STEP = 0.02
 """Relative difference of depths that are not on one surface."""
@@ -225,8 +220,8 @@ def priced(grid: PsfGrid, cell: int, number: int) -> list[tuple[float, float, fl
     psf = cell_psf(grid, cell, number)
     found = []
     for price in PRICES:
-        with patch.multiple(sparsify, PRICE=price, **UNBOUND):
-            figures = sparsify.sparsify(psf)[1]
+        with patch.multiple(fitted, PRICE=price, **UNBOUND), patch.multiple(direct, **UNBOUND_DIRECT):
+            figures = sparsify(psf)[1]
         found.append((figures["sparsity"], figures["ssim"], figures["n_support"]))
     return found
 
