@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw
-from scenes import RESULTS, Scene, parser, scenes
+from scenes import Scene, parser, result_path, scenes
 from scipy import ndimage, signal
 
 import spreadlets as sp
@@ -264,7 +264,7 @@ def main() -> None:
     found = subprocess.run([sys.executable, "-c", MEGAPIXELS], capture_output=True, text=True, check=True).stdout
     wall, processor, peak = map(float, found.split())
     lines.append(f"12 megapixels: {wall:.1f} s, {processor:.1f} s of processor time; peak {peak:.2f} GB of memory")
-    (RESULTS / "photo.txt").write_text("\n".join(lines) + "\n")
+    result_path("photo.txt").write_text("\n".join(lines) + "\n")
     print("\n".join(lines))
 
 
