@@ -25,7 +25,7 @@ WANTED = {
     PACKAGE: ("fence_samples", "fence_ref_dofmb"),
 }
 CAMERAS = {TESTS: "coins", PACKAGE: "fence"}
-ABOUT_THE_WHOLE = ("layers", "layer_format", "spp", "ref_dofmb_halves_ssim")
+ABOUT_THE_WHOLE = ("layers", "layer_format", "spp", "ref_dofmb_halves_ssim", "render_time_s", "render")
 """Keys of a camera that tell of files of the whole frame."""
 
 
