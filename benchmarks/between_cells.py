@@ -65,6 +65,7 @@ def main() -> None:
     arguments = options.parse_args()
     found = scenes(arguments.frames, "_pinhole.exr", "_ref_dofmb.exr")
     between_cells.N_COORDINATES = arguments.count
+    between_cells.N_TRACED = min(between_cells.N_TRACED, arguments.count)
     names = ("mean", "percentile 1", "CoC >= 4 px", "radius", "centre, px")
     lines = ["As drawn, against the exact PSF: similarity; relative error of the rim's radius, distance of its centre."]
     lines.append(f"{'':<14}{'':<11}{'n':>6}" + "".join(f"{name:>14}" for name in names))
