@@ -37,6 +37,8 @@ SHOT, SHOT_PIXELS = 1000, 1920 * 1080
 """Frames of the simulated shot, and their size: times are taken to grow with the pixels."""
 MOST_TAKEN, MOST_DISTURBED = 0.1, 20
 """Part of the processors that other programs may take for a turn to count, and how many turns are done anew for it."""
+LEAST_FRAMES = 5
+"""Two frames must be there before a kill, and two left after it."""
 START_S = 3.0
 """Start of a worker in the simulation, s."""
 
@@ -268,6 +270,8 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
+    if arguments.kills and arguments.frames < LEAST_FRAMES:
+        parser.error(f"--frames must be at least {LEAST_FRAMES}: in a shorter shot nothing can be killed in between")
     rng = random.Random(arguments.seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

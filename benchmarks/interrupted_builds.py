@@ -212,7 +212,7 @@ def dead_worker(folder: Path, reference: Path) -> list[str]:
         pid for pid in children(process.pid) if "resource_tracker" not in Path(f"/proc/{pid}/cmdline").read_text()
     ]
     os.kill(workers[0], signal.SIGKILL)
-    said = process.communicate()[1].strip()
+    said = process.communicate()[1].strip() or "another took its place"
     kept = n_parts(path)
     status, _ = finish(path, jobs=1)
     return [f"worker killed: {said}", f"{kept} cells kept; complete, equal: {not status and same(path, reference)}"]
