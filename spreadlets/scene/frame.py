@@ -358,12 +358,12 @@ def shown_array(name: str, values: npt.ArrayLike) -> FloatArray:
     InvalidFrameError
         If the shape or the type is another.
     """
-    codes = np.asarray(values)
+    array, codes = image_array(name, values), np.asarray(values)
     if codes.dtype not in (np.uint8, np.uint16):
-        return image_array(name, values)
-    if codes.ndim != 3 or codes.shape[2] != 3:
+        return array
+    if codes.shape[2] != 3:
         raise InvalidFrameError(f"{name} has shape {codes.shape}; a picture of {codes.dtype} must be (H, W, 3)")
-    return image_array(name, display_decode(codes))
+    return display_decode(codes)
 
 
 def check_finite(name: str, array: FloatArray) -> None:

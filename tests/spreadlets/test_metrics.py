@@ -149,3 +149,15 @@ def test_pictures_of_integers_are_compared_as_what_they_show(pair, kind):
 def test_a_picture_of_integers_has_three_channels(pair):
     with pytest.raises(InvalidFrameError, match=r"image has shape \(24, 30, 4\); a picture of uint8 must be"):
         metrics.mae(np.zeros((24, 30, 4), np.uint8), pair[1])
+
+
+def test_what_is_no_image_is_refused_as_such_also_as_a_picture():
+    codes = np.zeros((24, 30, 3), np.uint8)
+    hidden, ragged = np.ma.masked_array(codes, codes == 0), [[1], [1, 2]]
+    for image, said in (
+        (hidden, "image is masked in places"),
+        (ragged, "image is not an array"),
+        (codes[..., 0], "shape"),
+    ):
+        with pytest.raises(InvalidFrameError, match=said):
+            metrics.mae(image, codes)
