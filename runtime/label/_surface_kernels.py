@@ -143,7 +143,25 @@ def weigh_pixels(begin, end, place, point, gap, radiance, wanted, weights):
 
 
 @helper
-def _surfaces_around(place, row, col, gap, spare, bounds):
+def _find_sampled(place, point, row, col, gap):
+    """Return the place nearest by of the surface that a pixel samples, if its place is a strand's; else infinity.
+
+    In the gap of a strand the pixel's own sample is of what lies behind, and may be the only one near that is.
+    """
+    height, width = place.shape
+    found, least = np.float32(np.inf), 1000
+    if place[row, col] == point[row, col]:
+        return found
+    for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
+        for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
+            distance = (i - row) ** 2 + (j - col) ** 2
+            if distance < least and abs(place[i, j] - point[row, col]) < gap:
+                found, least = place[i, j], distance
+    return found
+
+
+@helper
+def _surfaces_around(place, point, row, col, gap, spare, bounds):
     """Fill ``bounds`` (MOST, 2) with the least and largest places of the surfaces around a pixel; return their number.
 
     Places in the window with no gap between them are of one surface. The first is the pixel's own, the others are
@@ -152,6 +170,11 @@ def _surfaces_around(place, row, col, gap, spare, bounds):
     height, width = place.shape
     low, high, weight, best = spare
     n = 0
+    sampled = _find_sampled(place, point, row, col, gap)
+    if sampled != np.inf:
+        low[0], high[0] = min(sampled, point[row, col]), max(sampled, point[row, col])
+        weight[0] = WINDOW_WEIGHT[REACH, REACH]
+        n = 1
     for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
         for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
             each = place[i, j]
@@ -414,8 +437,8 @@ def _find_sources(purity, row, col, which, count, source, trust):
     for s in range(count):
         trust[s] = math.inf
     # Find the nearest pixels, and keep their distances for now.
-    for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
-        for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+    for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
+        for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
             s = which[i - row + COLOUR_REACH, j - col + COLOUR_REACH]
             distance = (i - row) ** 2 + (j - col) ** 2 - 0.5 * purity[i, j]
             if s >= 0 and distance < trust[s]:
@@ -540,7 +563,7 @@ def _explain(given, row, col, gap, work):
     """
     place, point, radiance, weights = given
     (which, each, wider, mean, variance), spare, bounds, sums, counts = work
-    count = _surfaces_around(place, row, col, gap, spare, bounds)
+    count = _surfaces_around(place, point, row, col, gap, spare, bounds)
     if count < 2:
         return 0
     # Guess the shares.

@@ -19,6 +19,8 @@ LONGEST_SKIP = 3
 """Px to the next pixel of a strand that is followed: another may cross it."""
 LEAST_FOLLOWED = 5
 """Pixels of a strand, besides the one it is followed from: what is shorter is none."""
+HARDLY_SEEN = 0.1
+"""Px of a strand in a row across it, of which little is to be learnt about where it lies there."""
 MOST_COVERED = 0.98
 """Share of a pixel that a strand may be given: others keep some, to hold what the strand's colour does not explain."""
 
@@ -35,11 +37,35 @@ def _surface_at(found, number, place, here, most):
 
 
 @helper
-def _seen_across(place, thin, mixed, found, row, col, step, most):
+def _across(thin, row, col, step):
+    """Return the pixel some steps across a strand."""
+    return (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
+
+
+@helper
+def _is_nearest(place, thin, strand, row, col, step, most):
+    """Return whether no other strand of the same surface lies nearer to the pixel some steps across a strand."""
+    height, width = place.shape
+    side = 1 if step > 0 else -1
+    # Half-way between two strands, a pixel is that of the first.
+    for away in range(1, 2 * abs(step) + (side < 0)):
+        i, j = _across(thin, row, col, side * away)
+        if not (0 <= i < height and 0 <= j < width):
+            return True
+        is_strand = strand[i, j] >= 0 and thin[i, j] == thin[row, col]
+        if is_strand and abs(place[i, j] - place[row, col]) < most:
+            return False
+    return True
+
+
+@helper
+def _seen_across(place, thin, strand, mixed, found, row, col, step, most):
     """Return the pixel some steps across a strand, and which of its surfaces is the strand; -1 if none is."""
     height, width = place.shape
-    i, j = (row, col + step) if thin[row, col] == UPRIGHT else (row + step, col)
+    i, j = _across(thin, row, col, step)
     if not (0 <= i < height and 0 <= j < width) or mixed[i, j] < 0:
+        return i, j, -1
+    if not _is_nearest(place, thin, strand, row, col, step, most):
         return i, j, -1
     return i, j, _surface_at(found, mixed[i, j], place, place[row, col], most)
 
@@ -55,7 +81,8 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
     thin : ndarray of shape (H, W), int8
         See `find_thin`.
     strand, mixed : ndarray of shape (H, W), int32
-        Number of each pixel among those of strands, and among the mixed ones; -1 where it is none.
+        Number of each pixel among those of strands, and among the mixed ones; -1 where it is none. A pixel counts for
+        the strand that is nearest to it.
     found : tuple
         See `divide_pixels`.
     gap : float
@@ -73,7 +100,7 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
                 sums[c] = 0.0
             # Look at the pixels across it that show its surface.
             for step in range(-BESIDE, BESIDE + 1):
-                i, j, s = _seen_across(place, thin, mixed, found, row, col, step, ALIKE * gap)
+                i, j, s = _seen_across(place, thin, strand, mixed, found, row, col, step, ALIKE * gap)
                 if s >= 0:
                     number = mixed[i, j]
                     sums[0] += shares[number, s]
@@ -98,42 +125,70 @@ def _next_pixel(place, thin, strand, row, col, side, here, most):
     return row, col, 0
 
 
+@helper
+def _average_along(place, thin, strand, row, col, gap, measured, mean):
+    """Average along a strand what was measured across it, to both sides of a pixel; return whether that is enough."""
+    weights, followed = 1.0, 0
+    for c in range(5):
+        mean[c] = measured[strand[row, col], c]
+    # Follow the strand from pixel to pixel.
+    for side in (-1, 1):
+        i, j, away = row, col, 0
+        while away < LONGEST:
+            i, j, reach = _next_pixel(place, thin, strand, i, j, side, place[row, col], ALIKE * gap)
+            if reach == 0:
+                break
+            away += reach
+            followed += 1
+            weight = math.exp(-0.5 * (away / ALONG) ** 2)
+            weights += weight
+            for c in range(5):
+                mean[c] += weight * measured[strand[i, j], c]
+    for c in range(5):
+        mean[c] /= weights
+    return followed >= LEAST_FOLLOWED
+
+
 @kernel
-def average_strands(begin, end, place, thin, strand, gap, measured, mean):
-    """Average along strands what was measured across them.
+def average_strands(begin, end, place, thin, strand, mixed, found, gap, measured, wanted):
+    """Find how much of each pixel across a strand it would cover, and with how much light, were it as on average.
 
     Parameters
     ----------
-    place, thin, strand, gap, measured
+    place, thin, strand, mixed, found, gap, measured
         See `measure_strands`.
-    mean : ndarray of shape (n, 5), float32
-        Filled alike; with a coverage of -1 where there is too little of a strand.
+    wanted : ndarray of shape (n, 2 * BESIDE + 1, 5), float32
+        Filled for each pixel of a strand, and the pixels across it: coverage, -1 where it stays as it is, and light.
     """
+    _, shares, _, colours = found
+    mean = np.empty(5)
     for row in range(begin, end):
         for col in range(place.shape[1]):
             number = strand[row, col]
             if number < 0:
                 continue
-            weights, followed = 1.0, 0
-            for c in range(5):
-                mean[number, c] = measured[number, c]
-            # Follow the strand from pixel to pixel, to either side.
-            for side in (-1, 1):
-                i, j, away = row, col, 0
-                while away < LONGEST:
-                    i, j, reach = _next_pixel(place, thin, strand, i, j, side, place[row, col], ALIKE * gap)
-                    if reach == 0:
-                        break
-                    away += reach
-                    followed += 1
-                    weight = math.exp(-0.5 * (away / ALONG) ** 2)
-                    weights += weight
-                    for c in range(5):
-                        mean[number, c] += np.float32(weight) * measured[strand[i, j], c]
-            for c in range(5):
-                mean[number, c] /= np.float32(weights)
-            if followed < LEAST_FOLLOWED:
-                mean[number, 0] = -1.0
+            wanted[number, :, 0] = -1.0
+            enough = _average_along(place, thin, strand, row, col, gap, measured, mean)
+            if not enough or mean[0] <= 0.0:
+                continue
+            # Across the strand, coverage and light stay spread as they were, while what is hardly seen is its own
+            # pixel's.
+            whole = measured[number, 0] + HARDLY_SEEN
+            for step in range(-BESIDE, BESIDE + 1):
+                i, j, s = _seen_across(place, thin, strand, mixed, found, row, col, step, ALIKE * gap)
+                if s < 0:
+                    continue
+                each = wanted[number, step + BESIDE]
+                own = np.float64(shares[mixed[i, j], s])
+                part = (own + (HARDLY_SEEN if step == 0 else 0.0)) / whole
+                share = min(part * mean[0], MOST_COVERED)
+                each[0] = share
+                for c in range(4):
+                    each[1 + c] = mean[1 + c] * share / mean[0]
+                    light = measured[number, 1 + c]
+                    if light > 0.0:
+                        likely = own * colours[mixed[i, j], s, c] * mean[1 + c] / light
+                        each[1 + c] += measured[number, 0] / whole * (likely - each[1 + c])
 
 
 @helper
@@ -161,7 +216,7 @@ def _give(radiance, shares, colours, own, share, light):
 
 
 @kernel
-def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages, first, found):
+def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, wanted, first, found):
     """Give strands as much coverage and light across them as they have on average. All rows are done in one call.
 
     Parameters
@@ -170,35 +225,26 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, averages
         See `measure_strands`.
     radiance : ndarray of shape (H, W, 4), float32
         The pixels' colours, which those of their surfaces go on adding up to.
-    averages : tuple of two ndarrays of shape (n, 5), float32
-        What was measured across strands, and its means along them.
+    wanted : ndarray of shape (n, 2 * BESIDE + 1, 5), float32
+        See `average_strands`.
     first, found : tuple
         See `divide_pixels`; changed.
     """
     _, shares, _, colours = found
-    measured, mean = averages
-    light = np.empty(4)
     for row in range(begin, end):
         for col in range(place.shape[1]):
-            of_strand = strand[row, col]
-            if of_strand < 0 or mean[of_strand, 0] <= 0.0:
+            if strand[row, col] < 0:
                 continue
             for step in range(-BESIDE, BESIDE + 1):
-                i, j, s = _seen_across(place, thin, mixed, found, row, col, step, ALIKE * gap)
+                each = wanted[strand[row, col], step + BESIDE]
+                if each[0] < 0.0:
+                    continue
+                i, j = _across(thin, row, col, step)
+                number = mixed[i, j]
+                s = _surface_at(found, number, place, place[row, col], ALIKE * gap)
                 if s < 0:
                     continue
-                number = mixed[i, j]
-                # Across the strand, coverage and light stay spread as they were; what was not seen is its own pixel's.
-                part = 1.0 if step == 0 else 0.0
-                if measured[of_strand, 0] > 0.0:
-                    part = shares[number, s] / measured[of_strand, 0]
-                share = min(part * mean[of_strand, 0], MOST_COVERED)
-                for c in range(4):
-                    light[c] = mean[of_strand, 1 + c] * share / mean[of_strand, 0]
-                    if measured[of_strand, 1 + c] > 0.0:
-                        own = shares[number, s] * colours[number, s, c]
-                        light[c] = own * mean[of_strand, 1 + c] / measured[of_strand, 1 + c]
-                _give(radiance[i, j], shares[number], colours[number], s, share, light)
+                _give(radiance[i, j], shares[number], colours[number], s, each[0], each[1:])
                 first[0][i, j] = shares[number, 0]
                 for c in range(4):
                     first[1][i, j, c] = colours[number, 0, c]

@@ -458,10 +458,12 @@ def even_strands(
     chosen = (thin > 0) & (mixed >= 0)
     n = int(chosen.sum())
     strand[chosen] = np.arange(n)
-    measured, mean = np.empty((2, n, 5), np.float32)
-    for_bands(_width_kernels.measure_strands, height, place, thin, strand, mixed, found, LEAST_GAP, measured)
-    for_bands(_width_kernels.average_strands, height, place, thin, strand, LEAST_GAP, measured, mean)
-    given = place, radiance, thin, strand, mixed, LEAST_GAP, (measured, mean), first, found
+    measured = np.empty((n, 5), np.float32)
+    wanted = np.empty((n, 2 * _width_kernels.BESIDE + 1, 5), np.float32)
+    across = place, thin, strand, mixed, found, LEAST_GAP, measured
+    for_bands(_width_kernels.measure_strands, height, *across)
+    for_bands(_width_kernels.average_strands, height, *across, wanted)
+    given = place, radiance, thin, strand, mixed, LEAST_GAP, wanted, first, found
     _width_kernels.even_strands(0, height, *given)
 
 
