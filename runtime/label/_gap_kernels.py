@@ -20,8 +20,8 @@ LOOK, LEAST_LOOK = 2, 6
 """A strand is looked for beyond the ends of a gap over so many times the gap's length, and at least so many pixels."""
 LEAST_HITS = 2
 """Its pixels that must lie there, beyond each end."""
-SEEN_REACH = 2
-"""How far, px, from a pixel in a gap its surface must show once more: so far the surfaces of a pixel are looked for."""
+SEEN_REACH = 3
+"""How far, px, from a pixel in a gap its surface must show once more: so far it is looked for, see `_surface_kernels`."""
 
 
 @kernel

@@ -34,6 +34,10 @@ LOG_LAMP_RATIO = math.log(4.0)
 """Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else."""
 SAME_SURFACE = 1.0
 """Difference of places, px, below which a pixel is taken to show the surface of another: that of a gap."""
+MOST_TRIED = 6
+"""Surfaces around a pixel that are tried for its last, those that show most first."""
+EXPLAINED = 4.0
+"""Square of the deviations by which a pixel's colour may differ from what its surfaces show."""
 NEGLIGIBLE = 0.002
 """A coverage, and a brightness, that no display shows."""
 OUTSHINING = 0.5
@@ -161,14 +165,14 @@ def _find_sampled(place, point, row, col, gap):
 
 
 @helper
-def _surfaces_around(place, point, row, col, gap, spare, bounds):
-    """Fill ``bounds`` (MOST, 2) with the least and largest places of the surfaces around a pixel; return their number.
+def _surfaces_around(place, point, row, col, gap, last, spare, bounds):
+    """Fill ``bounds`` (MOST, 2) with the least and largest places of surfaces around a pixel; return how many there are.
 
     Places in the window with no gap between them are of one surface. The first is the pixel's own, the others are
-    those that have most of the window, nearer pixels counting more.
+    those that have most of the window, nearer pixels counting more; the last is the one of the given rank.
     """
     height, width = place.shape
-    low, high, weight, best = spare
+    low, high, weight = spare
     n = 0
     sampled = _find_sampled(place, point, row, col, gap)
     if sampled != np.inf:
@@ -198,16 +202,19 @@ def _surfaces_around(place, point, row, col, gap, spare, bounds):
                 low[n], high[n], weight[n] = each, each, 0.0
                 n += 1
             weight[first] += WINDOW_WEIGHT[i - row + REACH, j - col + REACH]
+    # Sort them.
     for s in range(MOST):
-        bounds[s, 0], bounds[s, 1], best[s] = math.inf, -math.inf, 0.0
-    for k in range(n):
-        score = math.inf if low[k] <= place[row, col] <= high[k] else weight[k]
-        for s in range(MOST):
-            if score > best[s]:
-                score, best[s] = best[s], score
-                low[k], bounds[s, 0] = bounds[s, 0], low[k]
-                high[k], bounds[s, 1] = bounds[s, 1], high[k]
-    return min(n, MOST)
+        bounds[s, 0], bounds[s, 1] = math.inf, -math.inf
+    for rank in range(min(n, last + 1)):
+        most, chosen = -1.0, 0
+        for k in range(n):
+            score = math.inf if low[k] <= place[row, col] <= high[k] else weight[k]
+            if score > most:
+                most, chosen = score, k
+        s = min(rank, MOST - 1)
+        bounds[s, 0], bounds[s, 1] = low[chosen], high[chosen]
+        low[chosen], high[chosen], weight[chosen] = math.inf, -math.inf, -2.0
+    return n
 
 
 @helper
@@ -431,19 +438,28 @@ def _divide(colour, mean, variance, share, count, colours):
 
 
 @helper
-def _find_sources(purity, row, col, which, count, source, trust):
-    """Fill row and column of the nearest pixel of each surface, of two the purer; and how far to trust its share."""
+def _nearest(purity, row, col, which, reach, source, distances):
+    """Fill row and column of the nearest pixel of each surface within a reach, of two the purer, if nearer than was."""
     height, width = purity.shape
-    for s in range(count):
-        trust[s] = math.inf
-    # Find the nearest pixels, and keep their distances for now.
-    for i in range(max(row - COLOUR_REACH, 0), min(row + COLOUR_REACH + 1, height)):
-        for j in range(max(col - COLOUR_REACH, 0), min(col + COLOUR_REACH + 1, width)):
+    for i in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for j in range(max(col - reach, 0), min(col + reach + 1, width)):
             s = which[i - row + COLOUR_REACH, j - col + COLOUR_REACH]
             distance = (i - row) ** 2 + (j - col) ** 2 - 0.5 * purity[i, j]
-            if s >= 0 and distance < trust[s]:
-                trust[s] = distance
+            if s >= 0 and distance < distances[s]:
+                distances[s] = distance
                 source[s, 0], source[s, 1] = i, j
+
+
+@helper
+def _find_sources(purity, row, col, which, count, source, trust):
+    """Fill row and column of the nearest pixel of each surface, of two the purer; and how far to trust its share."""
+    for s in range(count):
+        trust[s] = math.inf
+    # Keep the distances there for now. What only the pixel itself samples lies farther off.
+    _nearest(purity, row, col, which, REACH, source, trust)
+    for s in range(count):
+        if trust[s] == math.inf:
+            _nearest(purity, row, col, which, COLOUR_REACH, source, trust)
     for s in range(count):
         trust[s] = TRUST_NEAR if trust[s] < 2.0 else TRUST_FAR
 
@@ -543,14 +559,16 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
 def _work():
     """Return the arrays that `_explain` fills, see there, and those that it needs besides."""
     window, side = (2 * REACH + 1) ** 2, 2 * COLOUR_REACH + 1
-    spare = np.empty(window), np.empty(window), np.empty(window), np.empty(MOST)
+    spare = np.empty(window), np.empty(window), np.empty(window)
     found = np.empty((side, side), np.int8), np.empty(MOST), np.empty(MOST), np.empty((MOST, 4)), np.empty((MOST, 4))
     return found, spare, np.empty((MOST, 2)), np.empty((MOST, 13)), np.empty((side, side))
 
 
 @helper
-def _explain(given, row, col, gap, work):
-    """Find the surfaces around a pixel, guess their shares, and learn their colours; return the number of surfaces.
+def _explain(given, row, col, gap, last, work):
+    """Find the surfaces around a pixel, guess their shares, and learn their colours; return how many there are.
+
+    There may be more than `MOST`: ``last`` is the rank of the one that is taken as the last.
 
     Parameters
     ----------
@@ -563,9 +581,10 @@ def _explain(given, row, col, gap, work):
     """
     place, point, radiance, weights = given
     (which, each, wider, mean, variance), spare, bounds, sums, counts = work
-    count = _surfaces_around(place, point, row, col, gap, spare, bounds)
-    if count < 2:
+    n = _surfaces_around(place, point, row, col, gap, last, spare, bounds)
+    if n < 2:
         return 0
+    count = min(n, MOST)
     # Guess the shares.
     _number_surfaces(place, row, col, bounds, which)
     along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
@@ -582,7 +601,7 @@ def _explain(given, row, col, gap, work):
     # Learn the colours.
     _add_colours(radiance, weights, row, col, which, count, counts, sums)
     _colour_models(count, sums, mean, variance)
-    return count
+    return n
 
 
 @kernel
@@ -608,7 +627,7 @@ def measure_filter(begin, end, given, listed, gap, stride, sums):
         sums[row] = 0.0
         for number in range(0, listed[1][row + 1] - listed[1][row], stride):
             col = listed[0][row, number]
-            count = _explain(given, row, col, gap, work)
+            count = min(_explain(given, row, col, gap, MOST - 1, work), MOST)
             for c in range(3 if count else 0):
                 missing, change, noise = np.float64(radiance[row, col, c]), 0.0, 1e-8
                 for s in range(count):
@@ -617,6 +636,35 @@ def measure_filter(begin, end, given, listed, gap, stride, sums):
                     noise += each[s] ** 2 * variance[s, c] + (TRUST_NEAR * (mean[s, c] - mean[0, c])) ** 2
                 sums[row, 0] += missing * change / noise
                 sums[row, 1] += change * change / noise
+
+
+@helper
+def _fit_pixel(given, known, row, col, count, widening, work, sources, trust):
+    """Fit the shares of the surfaces that explain a pixel; return how badly they do, as a square of deviations."""
+    radiance, weights = given[2], given[3]
+    (which, each, wider, mean, variance), bounds = work[0], work[2]
+    # Start from those for the frame's filter, or those that a filtered depth told.
+    total = 0.0
+    for s in range(count):
+        each[s] = max(each[s] + widening * wider[s], 0.0)
+        total += each[s]
+    for s in range(count):
+        each[s] /= total
+    _find_sources(weights[0], row, col, which, count, sources, trust)
+    if count == 2 and known[row, col] >= 0.0:
+        nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
+        each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
+        trust[1] = TRUST_DEPTH
+    _fit_shares(radiance[row, col], mean, variance, trust, count, each)
+    # Compare what they show with the pixel.
+    badness = 0.0
+    for c in range(4):
+        missing, noise = np.float64(radiance[row, col, c]), 1e-8
+        for s in range(count):
+            missing -= each[s] * mean[s, c]
+            noise += each[s] ** 2 * variance[s, c]
+        badness += missing * missing / noise
+    return badness
 
 
 @kernel
@@ -659,24 +707,23 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
             at[0], at[1] = row, col
             for s in range(MOST):
                 shares[s] = 0.0
-            # Find the surfaces around the pixel.
-            count = _explain(given, row, col, gap, work)
-            if count == 0:
+            # Find the surfaces around the pixel, and fit their shares.
+            n = _explain(given, row, col, gap, MOST - 1, work)
+            if n == 0:
                 continue
-            # Their shares are those for the frame's filter, or those that a filtered depth told.
-            total = 0.0
-            for s in range(count):
-                each[s] = max(each[s] + widening * wider[s], 0.0)
-                total += each[s]
-            for s in range(count):
-                each[s] /= total
-            _find_sources(weights[0], row, col, which, count, sources, trust)
-            if count == 2 and known[row, col] >= 0.0:
-                nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
-                each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
-                trust[1] = TRUST_DEPTH
-            # Fit the shares to the pixel's colour.
-            _fit_shares(radiance[row, col], mean, variance, trust, count, each)
+            count, tried, best = min(n, MOST), MOST - 1, MOST - 1
+            least = _fit_pixel(given, known, row, col, count, widening, work, sources, trust)
+            # If they do not explain its colour, try others than those that show most.
+            for last in range(MOST, min(n, MOST_TRIED)):
+                if least < EXPLAINED:
+                    break
+                _explain(given, row, col, gap, last, work)
+                missing, tried = _fit_pixel(given, known, row, col, count, widening, work, sources, trust), last
+                if missing < least:
+                    least, best = missing, last
+            if best != tried:
+                _explain(given, row, col, gap, best, work)
+                _fit_pixel(given, known, row, col, count, widening, work, sources, trust)
             if each[0] == 1.0:
                 continue
             # Divide the colour among the surfaces.

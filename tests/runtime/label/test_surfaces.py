@@ -397,6 +397,56 @@ def test_a_strand_is_as_wide_and_as_bright_all_along(degrees):
     assert abs(light.mean() - RED[0] * wanted.mean()) < 0.1 * RED[0] * wanted.mean()
 
 
+def test_strands_side_by_side_are_each_as_wide_as_drawn():
+    """Two of .7 px, 3 px apart: the pixels between them are of the nearer one, and are evened once."""
+    rows = 40
+    inside = lambda x, y: np.abs(np.abs(x - 20.2 - 0.2 * (y - 20.0)) - 1.53) < 0.35  # noqa: E731
+    layer, coverage = drawn(inside, size=rows)
+    passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
+    covered = sum(share * (each.depth < 3.0) for each, share in passes)
+    assert np.abs(covered - coverage)[8:-8].max() < 0.3
+    assert covered.sum(axis=1)[8:-8].std() < 0.03 * coverage.sum(axis=1).mean()
+
+
+def test_the_sample_in_a_gap_of_a_strand_is_one_of_its_surfaces():
+    """Single bright pixels of the sky beside a strand, its gaps among them: the sky's light is not the strand's."""
+    slope, width, size = np.tan(np.radians(12.0)), 0.5, 48
+    layer, coverage = drawn(lambda x, y: np.abs(x - 24.2 - slope * (y - 24.0)) < 0.5 * width, size=size)
+    depth, radiance = layer.depth.copy(), layer.radiance.copy()
+    radiance[..., :3] -= 0.9 * (1.0 - coverage)[..., None] * BLUE
+    # The sky fills single pixels in the strand's gaps, whose point samples are of it, and one 3 px away from each.
+    place = surfaces.places(layer, CAMERA)
+    gaps = np.argwhere(surfaces.without_gaps(layer, place)[1] != place)[::3]
+    dots = np.zeros(depth.shape, bool)
+    for away in (0, 3):
+        dots[gaps[:, 0], gaps[:, 1] + away] = True
+    depth[dots] = 1e4
+    radiance[dots, :3] = (1.0 - coverage[dots])[:, None] * 1.5 + coverage[dots][:, None] * RED
+    passes = in_frame(split_surfaces(replace(layer, depth=depth, radiance=radiance), CAMERA), layer.shape)
+    assert len(gaps) > 4
+    light = sum(share * (each.depth > 100.0) * each.radiance[..., 2] for each, share in passes)
+    assert (light[dots] > 0.6).all(), light[dots]
+
+
+def test_what_explains_a_pixel_is_found_among_many_surfaces():
+    """A pixel of a leaf shows the sky too, of which few pixels around are, while most are of three other leaves."""
+    depth = np.full((64, 64), FAR, np.float32)
+    depth[:, :31], depth[32:, 31:], depth[31, 27:32] = 4.0, 3.0, NEAR
+    depth[29, 30:33] = 1e4
+    colours = {FAR: 0.1, 4.0: 0.12, 3.0: 0.08, NEAR: 0.1, 1e4: 3.0}
+    radiance = np.ones((64, 64, 4), np.float32)
+    for place, value in colours.items():
+        radiance[depth == np.float32(place), :3] = value
+    radiance[31, 31, :3] = 0.6 * 0.1 + 0.4 * 3.0
+    layer = Frame(radiance, depth, np.zeros((64, 64, 2), np.float32)).layers[0]
+    found = [
+        (float(each.depth[31, 31]), share[31, 31], each.radiance[31, 31, 0])
+        for each, share in in_frame(split_surfaces(layer, CAMERA), layer.shape)
+    ]
+    light = {depth: float(share * value) for depth, share, value in found if share > 0.0}
+    assert light.get(1e4, 0.0) > 0.5, light
+
+
 @pytest.mark.interpreted
 def test_what_a_pixel_does_not_have_is_not_looked_at():
     """Surfaces without a share have neither place nor colour: what lies in memory there changes nothing."""
