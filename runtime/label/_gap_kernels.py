@@ -21,7 +21,7 @@ LOOK, LEAST_LOOK = 2, 6
 LEAST_HITS = 2
 """Its pixels that must lie there, beyond each end."""
 SEEN_REACH = 3
-"""How far, px, from a pixel in a gap its surface must show once more: so far it is looked for, see `_surface_kernels`."""
+"""How far, px, from a pixel in a gap its surface must show once more: so far `_surface_kernels` looks for it."""
 
 
 @kernel

@@ -166,7 +166,7 @@ def _find_sampled(place, point, row, col, gap):
 
 @helper
 def _surfaces_around(place, point, row, col, gap, last, spare, bounds):
-    """Fill ``bounds`` (MOST, 2) with the least and largest places of surfaces around a pixel; return how many there are.
+    """Fill ``bounds`` (MOST, 2) with the least and largest places of surfaces around a pixel; return their number.
 
     Places in the window with no gap between them are of one surface. The first is the pixel's own, the others are
     those that have most of the window, nearer pixels counting more; the last is the one of the given rank.
@@ -698,7 +698,7 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
     """
     place, _, radiance, weights = given
     work, trust = _work(), np.ones(MOST)
-    (which, each, wider, mean, variance), bounds = work[0], work[2]
+    _, each, _, mean, variance = work[0]
     mixed = 0
     for row in range(begin, end):
         for number in range(listed[1][row], listed[1][row + 1]):
@@ -717,8 +717,10 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
             for last in range(MOST, min(n, MOST_TRIED)):
                 if least < EXPLAINED:
                     break
-                _explain(given, row, col, gap, last, work)
-                missing, tried = _fit_pixel(given, known, row, col, count, widening, work, sources, trust), last
+                tried = last
+                if _explain(given, row, col, gap, last, work) == 0:
+                    continue
+                missing = _fit_pixel(given, known, row, col, count, widening, work, sources, trust)
                 if missing < least:
                     least, best = missing, last
             if best != tried:

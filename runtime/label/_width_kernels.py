@@ -235,6 +235,7 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, wanted, 
         for col in range(place.shape[1]):
             if strand[row, col] < 0:
                 continue
+            # Give the pixels across it what they want, one after the other: some lie beside several strands.
             for step in range(-BESIDE, BESIDE + 1):
                 each = wanted[strand[row, col], step + BESIDE]
                 if each[0] < 0.0:
