@@ -6,6 +6,7 @@ import numpy as np
 
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, BLUR, COLOUR, LIKE, MOSTLY_SEEN
+from spreadlets.runtime.plan._bridge_kernels import bridge
 
 EXACT = 16.0
 """Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
@@ -477,8 +478,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
     ----------
     nearer : ndarray of shape (H, W), float32
         Share of each pixel that nearer layers hide.
-    cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32
-        What hides them, see `enter_layer`; `add_features`; `find_gaps`.
+    cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32, and (h / BLOCK, w / BLOCK), bool
+        What hides them, see `enter_layer`; `add_features`; `find_gaps`; and the blocks of cells whose features are
+        filled.
     looked_up : tuple of two ints and three ndarrays
         Row and column of the first cell, as for `row_distances`; and the blocks' places, how unlike these are, and how
         bright what was seen around is.
@@ -491,7 +493,8 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
     known : ndarray of shape (H, W), uint64
         Bits of the layers of which all that is hidden in a pixel is known; set.
     """
-    hides, features, gap = cells
+    hides, features, gap, wanted = cells
+    shown = hides, features, wanted, looked_up[0]
     value, bit = np.empty(features.shape[2]), np.uint64(1) << np.uint64(number)
     for i in range(begin, end):
         top, bottom = _pixels_in(i, level, corner[0], nearer.shape[0])
@@ -500,6 +503,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
                 continue
             # Copy from what the blocks around were found to be like.
             total = _copy(hides, features, *looked_up, i, j, value)
+            # Where nothing is alike, continue what is seen beside a narrow gap across it.
+            if total == 0.0 and bridge(shown, i, j, value):
+                total = 1.0
             if total == 0.0:
                 continue
             # Give it to the pixels of the cell of which something is hidden.

@@ -2,8 +2,8 @@
 
 A blur shows what a sharp image hides: beside a near thing out of focus, and through it. Layer by layer, what nearer
 ones hide of it is taken from neighbouring frames of the sequence, if there are any, and else guessed: strands go on,
-and where what was seen around looks like some other place, what lies there is copied. What is not found so is left to
-compositing.
+where what was seen around looks like some other place, what lies there is copied; and lines go on across narrow gaps.
+What is not found so is left to compositing.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def find_behind(
                 refine(here, places)
             # Which places are given up, the first frame alone decides.
             brightest = judged(here, places if not index else places._replace(unlike=places.unlike.copy()))
-            looked_up = (cells[0], features, gap), (corner, *places, brightest), level, seen.corner
+            looked_up = (cells[0], features, gap, wanted), (corner, *places, brightest), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
         Behind(_listed(frame[-1][0], first, *found[1:], strands), each)

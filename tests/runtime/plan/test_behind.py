@@ -55,6 +55,17 @@ def test_a_pattern_goes_on_behind_a_post():
     assert np.median(error) < 0.02 and error.mean() < 0.15
 
 
+def test_lines_go_on_across_a_narrow_gap():
+    """Behind a bar before a star of rays, each as wide and as steep as no other: nowhere else looks alike."""
+    rows, cols = np.indices((SIZE, SIZE)) - np.array([30.0, -30.0])[:, None, None]
+    rays = np.sin(0.5 * np.degrees(np.arctan2(rows, cols))) > 0.0
+    behind = np.where(rays[..., None], (0.9, 0.8, 0.7), (0.1, 0.2, 0.3))
+    colours, share = hidden(post_before(behind))
+    error = np.abs(colours[..., :3] - behind)[8:-8, POST].max(axis=2)
+    found = share[8:-8, POST] > 0.5
+    assert found.mean() > 0.7 and error[found].mean() < 0.15, (found.mean(), error[found].mean())
+
+
 @pytest.mark.interpreted
 def test_lamps_are_not_copied():
     behind = checkerboard()
@@ -79,7 +90,9 @@ def test_what_is_copied_is_no_brighter_than_all_that_was_seen_around():
     near, far, looked_up = np.float32(hides == 0), np.zeros_like(hides), (8, 24)
     found = np.zeros(looked_up, np.int32), np.zeros(looked_up, np.float32), np.zeros((*looked_up, 4), np.float32)
     known, given = np.zeros(looked_up, np.uint64), ((0, 0), places, unlike, np.full((1, 3), 0.5))
-    _behind_kernels.find_behind(0, 8, near, (hides, features, far), given, 0, (0, 0), 1, found, known)
+    _behind_kernels.find_behind(
+        0, 8, near, (hides, features, far, np.ones((1, 3), bool)), given, 0, (0, 0), 1, found, known
+    )
     assert np.allclose(found[2][:, :8], (0.5, 0.5, 0.5, 1.0))
 
 
