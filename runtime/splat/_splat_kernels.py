@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import TWO_PIXELS, add, load, load_two, multiply, store
 from spreadlets.runtime.splat._resample_kernels import shrink_row
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
@@ -282,21 +282,31 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
 @helper
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
+    pairs = n - n % _U(TWO_PIXELS)
     for p in range(_U(begin), _U(end)):
         o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 0], value[p, 0], value[p, 0]
-        for k in range(_U(0), n, _U(4)):
-            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+        twice = weight + weight
+        for k in range(_U(0), pairs, _U(TWO_PIXELS)):
+            store(image, o + k, add(load_two(image, o + k), multiply(twice, load_two(radiance, source + k))))
+        if pairs < n:
+            o += pairs
+            store(image, o, add(load(image, o), multiply(weight, load(radiance, source + pairs))))
 
 
 @helper
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
+    pairs = n - n % _U(TWO_PIXELS)
     for p in range(_U(begin), _U(end)):
         o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
-        for k in range(_U(0), n, _U(4)):
-            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+        twice = weight + weight
+        for k in range(_U(0), pairs, _U(TWO_PIXELS)):
+            store(image, o + k, add(load_two(image, o + k), multiply(twice, load_two(radiance, source + k))))
+        if pairs < n:
+            o += pairs
+            store(image, o, add(load(image, o), multiply(weight, load(radiance, source + pairs))))
 
 
 @helper
