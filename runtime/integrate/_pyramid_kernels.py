@@ -15,7 +15,7 @@ from spreadlets.runtime._vector_kernels import load, store
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
 
-BLOCK_PIXELS = 512
+BLOCK_PIXELS = 1536
 """Width of the column strips of `relax`: the rows that its steps keep then fit the second-level cache."""
 
 INTERPOLATION_REACH = 4
