@@ -39,7 +39,7 @@ def sum_light(begin, end, radiance, light):
     n_blocks, n_across = light.shape[:2]
     for block in range(begin, end):
         light[block] = 0.0
-        # Between the first two blocks of a row and the last two, there is nothing to be done, but in rows on the border.
+        # Of rows off the border, only the first two blocks and the last two are wanted.
         skipped = 2 * BLOCK if 2 <= block < n_blocks - 2 and n_across > 4 else width
         resumed = (n_across - 2) * BLOCK
         for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
