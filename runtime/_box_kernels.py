@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 STRIPE = 64
 """Columns that `box_columns` takes at a time: whole cache lines of each row."""
@@ -29,29 +29,34 @@ def box_rows(begin, end, image, half, out):
                 total -= image[row, col - half]
 
 
+@helper
+def _box_columns(image, left, right, half, total, out):
+    """Average the columns from ``left`` up to ``right``; ``total`` has room for their sums."""
+    height, scale = len(image), 1.0 / (2 * half + 1)
+    # Sum the boxes about the row above the first, then slide them down.
+    total[:] = 0.0
+    for row in range(min(half, height)):
+        line = image[row][left:right]
+        for i in range(line.shape[0]):
+            total[i] += line[i]
+    for row in range(height):
+        mean = out[row][left:right]
+        if row + half < height:
+            line = image[row + half][left:right]
+            for i in range(line.shape[0]):
+                total[i] += line[i]
+        for i in range(mean.shape[0]):
+            mean[i] = total[i] * scale
+        if row >= half:
+            line = image[row - half][left:right]
+            for i in range(line.shape[0]):
+                total[i] -= line[i]
+
+
 @kernel
 def box_columns(begin, end, image, half, out):
     """Do as `box_rows` for columns, in STRIPEs of neighbouring ones."""
-    height, width = image.shape
-    scale = 1.0 / (2 * half + 1)
     total = np.empty(STRIPE)
     for number in range(begin, end):
-        left, right = number * STRIPE, min((number + 1) * STRIPE, width)
-        # Sum the boxes about the row above the first, then slide them down.
-        total[:] = 0.0
-        for row in range(min(half, height)):
-            line = image[row][left:right]
-            for i in range(line.shape[0]):
-                total[i] += line[i]
-        for row in range(height):
-            mean = out[row][left:right]
-            if row + half < height:
-                line = image[row + half][left:right]
-                for i in range(line.shape[0]):
-                    total[i] += line[i]
-            for i in range(mean.shape[0]):
-                mean[i] = total[i] * scale
-            if row >= half:
-                line = image[row - half][left:right]
-                for i in range(line.shape[0]):
-                    total[i] -= line[i]
+        left, right = number * STRIPE, min((number + 1) * STRIPE, image.shape[1])
+        _box_columns(image, left, right, half, total, out)

@@ -58,7 +58,9 @@ def visible_range(begin, end, depth, radiance, limit, ends):
 def copy_rows(begin, end, given, out):
     """Copy rows (n, m), float32."""
     for row in range(begin, end):
-        out[row] = given[row]
+        source, target = given[row], out[row]
+        for i in range(target.shape[0]):
+            target[i] = source[i]
 
 
 @kernel

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import TWO_PIXELS, add, load_two, multiply, store
 
 CELL = 2
 """Side of the cells that covers are looked at in, px: what is finer, no blur shows."""
@@ -171,42 +171,44 @@ def cover_range(begin, end, corner, padding, covers, low, high):
 
 
 @helper
-def _splat4(value):
-    return value, value, value, value
+def _eight(value):
+    return value, value, value, value, value, value, value, value
 
 
 @helper
-def _look_through(plane, corner, weights, passing, joint, mean):
+def _look_through(plane, start, width, weights, passing, sums, place):
     """Add what a layer shows of a tile through one point of lens and shutter, and hide it from those beyond.
 
     Parameters
     ----------
-    plane : ndarray of shape (h, w), float32
-        What the layer covers.
-    corner : tuple of two ints
-        Where in it the tile's first cell is seen.
+    plane : ndarray of shape (n,), float32
+        Rows of what layers cover.
+    start, width : int
+        Where in it the tile's first cell is seen, and the cells in a row.
     weights : tuple of four float32
         Of the four cells that each one is interpolated from.
     passing : ndarray of shape (TILE * TILE,), float32
         What passes all nearer layers; changed.
-    joint, mean : ndarray of shape (TILE * TILE,), float32
-        Sums of what is seen of the layer, and of what it covers.
+    sums : tuple of two ndarrays of shape (n_layers * TILE * TILE,), float32
+        Sums of what is seen of each layer, and of what it covers.
+    place : int
+        Where those of the layer begin.
     """
-    flat, width = plane.reshape(plane.size), plane.shape[1]
-    a, b, c, d = _splat4(weights[0]), _splat4(weights[1]), _splat4(weights[2]), _splat4(weights[3])
-    minus = _splat4(np.float32(-1.0))
+    joint, mean = sums
+    a, b, c, d = _eight(weights[0]), _eight(weights[1]), _eight(weights[2]), _eight(weights[3])
+    minus = _eight(np.float32(-1.0))
     for i in range(TILE):
-        start = (corner[0] + i) * width + corner[1]
-        for j in range(0, TILE, 4):
-            here, below, place = _U(start + j), _U(start + j + width), _U(i * TILE + j)
-            upper = add(multiply(a, load(flat, here)), multiply(b, load(flat, here + _U(1))))
-            lower = add(multiply(c, load(flat, below)), multiply(d, load(flat, below + _U(1))))
+        for j in range(0, TILE, TWO_PIXELS):
+            here, below = _U(start + i * width + j), _U(start + (i + 1) * width + j)
+            own, to = _U(i * TILE + j), _U(place + i * TILE + j)
+            upper = add(multiply(a, load_two(plane, here)), multiply(b, load_two(plane, here + _U(1))))
+            lower = add(multiply(c, load_two(plane, below)), multiply(d, load_two(plane, below + _U(1))))
             cover = add(upper, lower)
-            left = load(passing, place)
+            left = load_two(passing, own)
             shown = multiply(left, cover)
-            store(joint, place, add(load(joint, place), shown))
-            store(mean, place, add(load(mean, place), cover))
-            store(passing, place, add(left, multiply(minus, shown)))
+            store(joint, to, add(load_two(joint, to), shown))
+            store(mean, to, add(load_two(mean, to), cover))
+            store(passing, own, add(left, multiply(minus, shown)))
 
 
 @kernel
@@ -231,10 +233,11 @@ def look_through(begin, end, points, blurs, wanted, corner, padding, covers, cov
         Filled.
     """
     n, size, height, width = len(points), TILE * TILE, covariance.shape[1], covariance.shape[2]
+    plane, (_, n_rows, n_cols) = covers.reshape(covers.size), covers.shape
     passing, joint, mean = (
         np.empty(size, np.float32),
-        np.empty((len(covers), size), np.float32),
-        np.empty((len(covers), size), np.float32),
+        np.empty(len(covers) * size, np.float32),
+        np.empty(len(covers) * size, np.float32),
     )
     for tile in range(begin, end):
         for across in range(wanted.shape[1]):
@@ -245,7 +248,7 @@ def look_through(begin, end, points, blurs, wanted, corner, padding, covers, cov
             if not n_layers:
                 continue
             # Through each point, see the layers one behind the other, each moved as it blurs.
-            joint[:n_layers], mean[:n_layers] = np.float32(0.0), np.float32(0.0)
+            joint[: n_layers * size], mean[: n_layers * size] = np.float32(0.0), np.float32(0.0)
             for point in range(n):
                 passing[:] = np.float32(1.0)
                 for number in range(n_layers):
@@ -256,7 +259,8 @@ def look_through(begin, end, points, blurs, wanted, corner, padding, covers, cov
                     down, aside = np.float32(row - i), np.float32(col - j)
                     up, before = np.float32(1.0) - down, np.float32(1.0) - aside
                     weights = up * before, up * aside, down * before, down * aside
-                    _look_through(covers[number], (i, j), weights, passing, joint[number], mean[number])
+                    start = (number * n_rows + i) * n_cols + j
+                    _look_through(plane, start, n_cols, weights, passing, (joint, mean), number * size)
             # Compare with what the means of all would show.
             passing[:] = np.float32(1.0)
             scale = np.float32(1.0 / n)
@@ -264,24 +268,51 @@ def look_through(begin, end, points, blurs, wanted, corner, padding, covers, cov
                 for i in range(rows[0], rows[1]):
                     for j in range(cols[0], cols[1]):
                         k = (i - top) * TILE + j - left
-                        seen = scale * joint[number, k]
-                        covariance[number, i, j] = seen - passing[k] * scale * mean[number, k]
+                        seen = scale * joint[number * size + k]
+                        covariance[number, i, j] = seen - passing[k] * scale * mean[number * size + k]
                         passing[k] -= seen
+
+
+@helper
+def _between_cells(place, count):
+    """Return the cells that a row or column of pixels lies between, of some, and how far from the first one."""
+    at = np.float32((place + 0.5) / CELL - 0.5)
+    first = min(max(int(np.floor(at)), 0), count - 1)
+    return first, min(first + 1, count - 1), min(max(at - np.float32(first), np.float32(0.0)), np.float32(1.0))
+
+
+@helper
+def _lay_line(cells, places, line):
+    """Fill ``line`` (n,) with a row of cells, interpolated along itself."""
+    lefts, rights, asides = places
+    for col in range(len(line)):
+        left = cells[lefts[col]]
+        line[col] = left + asides[col] * (cells[rights[col]] - left)
+
+
+@helper
+def _blend_lines(lines, first, below, down, out):
+    """Fill ``out`` (n,) with what lies between two of the lines."""
+    upper, lower = lines[first % 2], lines[below % 2]
+    for col in range(len(out)):
+        out[col] = upper[col] + down * (lower[col] - upper[col])
 
 
 @kernel
 def enlarge_cells(begin, end, cells, corner, image):
     """Fill ``image`` (H, W), float32, with ``cells`` (h, w), interpolated linearly; ``corner`` as in `enter_frame`."""
-    height, width = cells.shape
+    (height, width), n = cells.shape, image.shape[1]
     within, aside_of = corner[0] % CELL, corner[1] % CELL
+    # Where along a row of cells each pixel lies: between which two, and how far from the first.
+    lefts, rights, asides = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.float32)
+    for col in range(n):
+        lefts[col], rights[col], asides[col] = _between_cells(col + aside_of, width)
+    # Each row of cells serves a few rows of pixels.
+    lines, known = np.empty((2, n), np.float32), np.array([-1, -1])
     for row in range(begin, end):
-        y = np.float32((row + within + 0.5) / CELL - 0.5)
-        first = min(max(int(np.floor(y)), 0), height - 1)
-        below, down = min(first + 1, height - 1), min(max(y - np.float32(first), np.float32(0.0)), np.float32(1.0))
-        for col in range(image.shape[1]):
-            x = np.float32((col + aside_of + 0.5) / CELL - 0.5)
-            left = min(max(int(np.floor(x)), 0), width - 1)
-            right, aside = min(left + 1, width - 1), min(max(x - np.float32(left), np.float32(0.0)), np.float32(1.0))
-            upper = cells[first, left] + aside * (cells[first, right] - cells[first, left])
-            lower = cells[below, left] + aside * (cells[below, right] - cells[below, left])
-            image[row, col] = upper + down * (lower - upper)
+        first, below, down = _between_cells(row + within, height)
+        for each in (first, below):
+            if known[each % 2] != each:
+                known[each % 2] = each
+                _lay_line(cells[each], (lefts, rights, asides), lines[each % 2])
+        _blend_lines(lines, first, below, down, image[row])

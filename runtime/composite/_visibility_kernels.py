@@ -85,6 +85,9 @@ def add_listed_cover(cover, place, at, number, nearer, beyond):
     """
     for i in range(cover.shape[0]):
         for j in range(cover.shape[1]):
+            # Farther layers take part in neither.
+            if place[i, j] >= number + 1:
+                continue
             row, col = at[i, j, 0], at[i, j, 1]
             nearer[row, col] += cover[i, j] * _share_before(place[i, j], number)
             beyond[row, col] -= cover[i, j] * _share_before(place[i, j], number + 1)
@@ -96,7 +99,8 @@ def take_hidden(cover, place, at, number, beyond):
     for i in range(cover.shape[0]):
         for j in range(cover.shape[1]):
             own = _share_before(place[i, j], number + 1) - _share_before(place[i, j], number)
-            beyond[at[i, j, 0], at[i, j, 1]] -= cover[i, j] * own
+            if own > np.float32(0.0):
+                beyond[at[i, j, 0], at[i, j, 1]] -= cover[i, j] * own
 
 
 @kernel

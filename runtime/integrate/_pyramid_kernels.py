@@ -15,7 +15,7 @@ from spreadlets.runtime._vector_kernels import load, store
 FILTER_RADIUS = 3
 """Separable filters are symmetric and given by their centre tap and `FILTER_RADIUS` side taps."""
 
-BLOCK_PIXELS = 1024
+BLOCK_PIXELS = 1536
 """Width of the column strips of `relax`: the rows that its steps keep then fit the second-level cache."""
 
 INTERPOLATION_REACH = 4
@@ -366,11 +366,12 @@ def coarsen(begin, end, source, image, coarse, taps, n_channels, sums, largest, 
             while position <= 2 * k + 4:
                 i = _mirrored(position, height)[0]
                 row = rows[position % 8, :count]
-                own = _row(source, i, zeros[:0])
+                own = source[i] if i < source.shape[0] else zeros[:0]
                 if image.shape[0] == 0:
                     _copy_row(row, own)
                 else:
-                    above, below = _row(image, i - 1, zeros), _row(image, i + 1, zeros)
+                    above = image[i - 1] if i > 0 else zeros
+                    below = image[i + 1] if i + 1 < image.shape[0] else zeros
                     _residual_row(row, above, image[i], below, own, n_channels)
                 # Bands share rows at their borders; each row is measured where it is owned.
                 if position < sums.shape[0] and first <= min(position // 2, coarse.shape[0] - 1) < last:

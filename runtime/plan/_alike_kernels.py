@@ -29,6 +29,8 @@ HIDDEN_PRICE = 1.0
 """The same of a place where nothing was seen of what is looked for."""
 SPARSE, SHEAR = 9, 4
 """Every ninth cell is compared: of each row others, so that neither rows nor columns are left out."""
+MOST_COMPARED = (BLOCK + 2 * AROUND - 1) // SPARSE + 1
+"""Cells of a row that are compared, at most."""
 TOO_FEW = 20
 """Cells that must be comparable."""
 LIKE = 0.05
@@ -58,16 +60,14 @@ def _unlikeness(hides, features, top, left, down, right, most):
         for j in range(left + 1 + right, left + BLOCK + right, 2):
             if not (0 <= i < height and 0 <= j < width) or 1.0 - hides[i, j] < MOSTLY_SEEN:
                 unseen += 1
+                if price + HIDDEN_PRICE * unseen / (BLOCK // 2) ** 2 >= most:
+                    return math.inf
     price += HIDDEN_PRICE * unseen / (BLOCK // 2) ** 2
-    if price >= most:
-        return math.inf
     total, weights = 0.0, 0.0
-    side = BLOCK + 2 * AROUND
-    bound = (most - price) * side * (side // SPARSE + 1)
-    for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
-        if not 0 <= i + down < height:
-            continue
-        if total > bound:
+    last = min(top + BLOCK + AROUND, height, height - down)
+    for i in range(max(top - AROUND, 0, -down), last):
+        # Even if all cells that are left could be compared, and were the same, it would be too unlike.
+        if total > (most - price) * (weights + MOST_COMPARED * (last - i)):
             return math.inf
         for j in range(left - AROUND + SHEAR * (i - top) % SPARSE, min(left + BLOCK + AROUND, width), SPARSE):
             if j < 0 or not 0 <= j + right < width:
@@ -93,6 +93,8 @@ def _refine(hides, features, top, left, size, best, place):
         for i in range(-1, 2):
             for j in range(-1, 2):
                 down, right = middle_row + i * size, middle_col + j * size
+                if down == place[0] and right == place[1]:
+                    continue
                 each = _unlikeness(hides, features, top, left, down, right, best)
                 if each < best:
                     best, place[0], place[1] = each, down, right

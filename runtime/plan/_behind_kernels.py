@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, BLUR, COLOUR, LIKE, MOSTLY_SEEN
+from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, COLOUR, LIKE, MOSTLY_SEEN
 from spreadlets.runtime.plan._bridge_kernels import bridge
 
 EXACT = 16.0
@@ -23,6 +24,7 @@ LEAST_UNLIKE = 0.001
 BRIGHTEST = 4.0
 """How many times as bright as the mean around it what is copied may be: a lamp that is not there would catch the eye,
 and in a sequence it would flash."""
+_U = np.uint64
 
 
 @helper
@@ -141,6 +143,22 @@ def clear_features(begin, end, corner, wanted, features):
                 features[first:last, start:stop] = np.float32(0.0)
 
 
+@helper
+def _add_nearness(flat, place, covers, depth):
+    """Add the nearness of pixels of a row, times what they cover, to the features of their cells."""
+    for k in range(len(place)):
+        flat[place[k, 1]] -= covers[k] / depth[place[k, 0]]
+
+
+@helper
+def _add_motion(flat, place, covers, motion):
+    """Do as `_add_nearness` for both axes of their motion."""
+    for k in range(len(place)):
+        col, at = place[k, 0], place[k, 1]
+        flat[at] += covers[k] * motion[col, 0]
+        flat[at + _U(1)] += covers[k] * motion[col, 1]
+
+
 @kernel
 def add_features(begin, end, surface, at, planes, number, level, corner, wanted, features):
     """Add up in cells what a surface shows of a layer.
@@ -162,12 +180,15 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
     layer, farther, radiance, weight, coc, length = surface
     listed, down, left = at.shape[0] > 0, corner[0] % (1 << level), corner[1] % (1 << level)
     above, before = (corner[0] >> level) % BLOCK, (corner[1] >> level) % BLOCK
-    whole = features.shape[2] > COLOUR + 1
+    flat, (_, across, size) = features.reshape(features.size), features.shape
+    # The pixels of a row that show the layer: their columns, where the features of their cells begin, and their cover.
+    place, covers = np.empty((layer.shape[1], 2), np.uint64), np.empty(layer.shape[1], np.float32)
     for i in range(begin, end):
         if not listed and not wanted[(i + above) // BLOCK].any():
             continue
         first, last = (i, i + 1) if listed else _pixels_in(i, level, corner[0], layer.shape[0])
         for row in range(first, last):
+            n, colours = 0, radiance[row].reshape(4 * layer.shape[1])
             for col in range(layer.shape[1]):
                 if not number - 1 <= layer[row, col] <= number:
                     continue
@@ -177,27 +198,26 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                 part *= weight[row, col] if weight.shape[0] else np.float32(1.0)
                 if part == 0.0 or not wanted[(y + above) // BLOCK, (x + before) // BLOCK]:
                     continue
-                out = features[y, x]
                 # Colour and alpha by the pixel's share in the layer; all else by what it covers.
-                for c in range(COLOUR):
-                    out[c] += part * radiance[row, col, c]
-                cover = part * radiance[row, col, 3]
-                if whole:
-                    c = COLOUR
-                    for depth in planes[0]:
-                        out[c] -= cover / depth[row, col]
-                        c += 1
-                    for motion in planes[1]:
-                        out[c] += cover * motion[row, col, 0]
-                        out[c + 1] += cover * motion[row, col, 1]
-                        c += 2
+                out, cover = _U((y * across + x) * size), part * radiance[row, col, ALPHA]
+                store(flat, out, add(load(flat, out), multiply((part, part, part, part), load(colours, _U(4 * col)))))
+                place[n, 0], place[n, 1], covers[n] = col, out + _U(COLOUR), cover
+                n += 1
                 # How far it blurs comes last.
-                out[BLUR] += cover * (abs(coc[row, col]) + np.float32(0.5) * length[row, col])
+                flat[out + _U(size - 1)] += cover * (abs(coc[row, col]) + np.float32(0.5) * length[row, col])
+            # Plane by plane: to take one out of a tuple costs as much as to add a pixel.
+            if size > COLOUR + 1:
+                for depth in planes[0]:
+                    _add_nearness(flat, place[:n], covers, depth[row])
+                    place[:n, 1] += _U(1)
+                for motion in planes[1]:
+                    _add_motion(flat, place[:n], covers, motion[row])
+                    place[:n, 1] += _U(2)
         if level and not listed:
-            for j in range(features.shape[1]):
+            for j in range(across):
                 if wanted[(i + above) // BLOCK, (j + before) // BLOCK]:
                     start, stop = _pixels_in(j, level, corner[1], layer.shape[1])
-                    for c in range(features.shape[2]):
+                    for c in range(size):
                         features[i, j, c] /= np.float32((last - first) * (stop - start))
 
 
@@ -465,8 +485,10 @@ def _copy(hides, features, corner, places, unlike, brightest, row, col, value):
         # What is brighter than all that was seen around would catch the eye.
         light = max(there[0], there[1], there[2])
         dimmed = scale * min(1.0, brightest[i, j] / light) if light > 0.0 else scale
-        for c in range(len(value)):
-            value[c] += (dimmed if c < ALPHA else scale) * there[c]
+        for c in range(ALPHA):
+            value[c] += dimmed * there[c]
+        for c in range(ALPHA, len(value)):
+            value[c] += scale * there[c]
     return total
 
 
@@ -494,7 +516,8 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
         Bits of the layers of which all that is hidden in a pixel is known; set.
     """
     hides, features, gap, wanted = cells
-    shown = hides, features, wanted, looked_up[0]
+    first, places, unlike, brightest = looked_up
+    shown = hides, features, wanted, first
     value, bit = np.empty(features.shape[2]), np.uint64(1) << np.uint64(number)
     for i in range(begin, end):
         top, bottom = _pixels_in(i, level, corner[0], nearer.shape[0])
@@ -502,7 +525,7 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
             if gap[i, j] < 0.0:
                 continue
             # Copy from what the blocks around were found to be like.
-            total = _copy(hides, features, *looked_up, i, j, value)
+            total = _copy(hides, features, first, places, unlike, brightest, i, j, value)
             # Where nothing is alike, continue what is seen beside a narrow gap across it.
             if total == 0.0 and bridge(shown, i, j, value):
                 total = 1.0

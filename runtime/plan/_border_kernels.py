@@ -27,17 +27,24 @@ class Weighted(NamedTuple):
 
 @kernel
 def sum_light(begin, end, radiance, light):
-    """Fill ``light`` (h, w, 2), float64, with the sums of evened light and of alpha in blocks.
+    """Fill ``light`` (h, w, 2), float64, with the sums of evened light and of alpha in blocks on the border.
+
+    Those beside them are summed up, too; all others are left at 0.
 
     Parameters
     ----------
     radiance : ndarray of shape (H, W, 4), float32
     """
     height, width = radiance.shape[:2]
+    n_blocks, n_across = light.shape[:2]
     for block in range(begin, end):
         light[block] = 0.0
+        # Of rows off the border, only the first two blocks and the last two are wanted.
+        skipped = 2 * BLOCK if 2 <= block < n_blocks - 2 and n_across > 4 else width
+        resumed = (n_across - 2) * BLOCK
         for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
-            for col in range(width):
+            for j in range(skipped + (width - resumed if skipped < width else 0)):
+                col = j if j < skipped else resumed + j - skipped
                 brightest = max(radiance[row, col, 0], radiance[row, col, 1], radiance[row, col, 2])
                 alpha = np.float64(radiance[row, col, 3])
                 if alpha > 0.0 and brightest > 0.0:
@@ -47,7 +54,7 @@ def sum_light(begin, end, radiance, light):
 
 @kernel
 def limit_light(begin, end, light, limit):
-    """Fill ``limit`` (h, w), float32, with how bright what is continued of each block may be; see `sum_light`."""
+    """Fill ``limit`` (h, w), float32, with how bright what is continued of blocks on the border may be."""
     for block in range(begin, end):
         for across in range(light.shape[1]):
             total, cover = 0.0, 0.0

@@ -74,6 +74,8 @@ def extended_pass(
 def border_limit(radiance: Image) -> Image:
     """Return how bright what goes on beyond the border of colours (H, W, 4) may be, in blocks, shape (h, w).
 
+    What it says of blocks that are not on the border means nothing.
+
     A plain repetition would turn a lamp at the border into a row of lamps, and its bokeh would grow brighter towards
     the border.
     """

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
-from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import TWO_PIXELS, add, load, load_two, multiply, store
 from spreadlets.runtime.splat._resample_kernels import shrink_row
 
 RUN_SOURCE, RUN_ROW, RUN_COL, RUN_LENGTH, RUN_VARIANT = range(5)
@@ -280,23 +280,30 @@ def _draw_pixel(image, radiance, source, target, point_offset, value, begin, end
 
 
 @helper
+def _add_scaled(image, to, radiance, source, n, weight):
+    """Add n floats of contiguous pixels, times a weight for each channel, to others; two pixels at once."""
+    twice, pairs = weight + weight, n - n % _U(TWO_PIXELS)
+    for k in range(_U(0), pairs, _U(TWO_PIXELS)):
+        store(image, to + k, add(load_two(image, to + k), multiply(twice, load_two(radiance, source + k))))
+    if pairs < n:
+        to += pairs
+        store(image, to, add(load(image, to), multiply(weight, load(radiance, source + pairs))))
+
+
+@helper
 def _draw_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Add n floats of contiguous pixels, times the value of each point, at the places of the points."""
     for p in range(_U(begin), _U(end)):
-        o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 0], value[p, 0], value[p, 0]
-        for k in range(_U(0), n, _U(4)):
-            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+        _add_scaled(image, _U(target + point_offset[p]), radiance, source, n, weight)
 
 
 @helper
 def _draw_coloured_run(image, radiance, source, target, n, point_offset, value, begin, end):
     """Do as `_draw_run` with a value for each of R, G, B and alpha."""
     for p in range(_U(begin), _U(end)):
-        o = _U(target + point_offset[p])
         weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
-        for k in range(_U(0), n, _U(4)):
-            store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+        _add_scaled(image, _U(target + point_offset[p]), radiance, source, n, weight)
 
 
 @helper
@@ -439,9 +446,7 @@ def _draw_direct_run(image, radiance, source, target, n, cols, spans, value, bou
         for span in range(begin, end):
             o = _U(target + 4 * (spans.row[span] * cols + spans.col[span]))
             for p in range(_U(4 * spans.start[span]), _U(4 * spans.start[span + 1]), _U(4)):
-                weight = load(value, p)
-                for k in range(_U(0), _U(4 * n), _U(4)):
-                    store(image, o + k, add(load(image, o + k), multiply(weight, load(radiance, source + k))))
+                _add_scaled(image, o, radiance, source, _U(4 * n), load(value, p))
                 o += _U(4)
         return
     # Short runs: add the span, scaled by the colour of each pixel.
@@ -532,9 +537,7 @@ def gather_runs(begin, end, image, radiance, runs, point_offset, value, point_st
                     image[target + _U(k)] += weight * radiance[source + _U(k)]
             else:
                 weight = value[p, 0], value[p, 1], value[p, 2], value[p, 3]
-                for k in range(_U(0), n, _U(4)):
-                    change = multiply(weight, load(radiance, source + k))
-                    store(image, target + k, add(load(image, target + k), change))
+                _add_scaled(image, target, radiance, source, n, weight)
 
 
 @kernel

@@ -5,13 +5,31 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from spreadlets.runtime._vector_kernels import add, load, multiply, store
+from spreadlets.runtime._vector_kernels import add, load, load_two, multiply, store
 
 
 def weighted_sum(out, x, y, i, j):
     index = np.uint64(i)
     vector = load(x, index)
     store(out, np.uint64(j), add(multiply(vector, load(y, index)), (vector[0], vector[1], vector[2], vector[3])))
+
+
+def weighted_sum_of_two(out, x, y, i, j):
+    index = np.uint64(i)
+    vector = load_two(x, index)
+    store(out, np.uint64(j), add(multiply(vector, load_two(y, index)), vector))
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("i, j", [(0, 0), (1, 5), (7, 2)])
+def test_two_pixels_at_once_are_as_one_and_the_next(i, j):
+    x, y = np.random.default_rng(i).normal(size=(2, 15)).astype(np.float32)
+    plain, compiled = np.zeros((2, 15), np.float32)
+    weighted_sum_of_two(plain, x, y, i, j)
+    numba.njit(weighted_sum_of_two)(compiled, x, y, i, j)
+    expected = np.zeros(15, np.float32)
+    expected[j : j + 8] = x[i : i + 8] * y[i : i + 8] + x[i : i + 8]
+    assert np.array_equal(plain, expected) and np.array_equal(compiled, expected)
 
 
 @pytest.mark.interpreted

@@ -1,5 +1,6 @@
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import numba
 import numpy as np
 import pytest
 from numba.core.caching import NullCache
+from numba.core.runtime import _nrt_python, rtsys
 
 from spreadlets import compiled
 from spreadlets.compiled import count_compiled, helper, kernel, kernel_folder
@@ -208,3 +210,67 @@ def test_helpers_become_machine_code_within_kernels_alone():
     assert len(of_helpers) == 2 and not any(map(engine.is_symbol_defined, of_helpers))
     (of_kernel,) = (compiled.fndesc.llvm_func_name for compiled in fill.overloads.values())
     assert engine.is_symbol_defined(of_kernel)
+
+
+@helper
+def either(image, number):
+    return image[number] if number >= 0 else image[0]
+
+
+def add_rows(image, places):
+    total = 0.0
+    for number in range(len(image)):
+        row = image[number].reshape(image.shape[1])
+        for k in range(len(places[0])):
+            total += row[places[0][k]]
+    return total
+
+
+def add_rows_of_a_copy(image, places):
+    copy = np.empty_like(image)
+    for number in range(len(image)):
+        copy[number] = either(image, number)
+    return add_rows_compiled(copy, places)
+
+
+def add_chosen_rows(image, places):
+    chosen, total = image[:, 0][places[0]], 0.0
+    for number in range(len(chosen)):
+        total += chosen[number]
+    return total
+
+
+add_rows_compiled = helper(add_rows)
+
+
+def counts_references(function, *arguments):
+    made = kernel(function)
+    made._cache = NullCache()
+    made(*arguments)
+    (code,) = made.inspect_llvm().values()
+    return bool(re.search(r"call .*@NRT_incref|call .*@NRT_decref|call .*@NRT_adapt", code))
+
+
+@pytest.mark.skipif(not compiled._is_taken_apart, reason="Numba's own parts are used as they are")
+def test_kernels_that_make_no_arrays_count_no_references():
+    image, places = np.ones((3, 4), np.float32), (np.array([0, 2]), np.array([1]))
+    assert not counts_references(add_rows, image, places)
+    assert counts_references(add_rows_of_a_copy, image, places)
+
+
+@pytest.mark.parametrize("function, expected", [(add_rows, 6.0), (add_rows_of_a_copy, 6.0), (add_chosen_rows, 2.0)])
+def test_all_that_kernels_make_is_given_back(function, expected):
+    image, places = np.ones((3, 4), np.float32), (np.array([0, 2]), np.array([1]))
+    made = kernel(function)
+    made._cache = NullCache()
+    assert made(image, places) == expected
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats()
+        for _ in range(5):
+            made(image, places)
+        after = rtsys.get_allocation_stats()
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert after.alloc - after.free == before.alloc - before.free
+    assert sys.getrefcount(image) == 2
