@@ -334,8 +334,8 @@ def reconstruct(
         effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
         drawn = sample_steps(samples, pixel_sets, camera, effects)
         shows_samples = _shows_samples(samples, camera, database, options)
-        kinds = {"stochastic": True, "lights": shows_samples}
-        plan = plan_pixels(drawn, database, options, n_layers, **kinds, dense_psf=dense_psf, exact_psf=exact_psf)
+        draw = partial(plan_pixels, dense_psf=dense_psf, exact_psf=exact_psf)
+        plan = draw(drawn, database, options, n_layers, stochastic=True, lights=shows_samples)
         n_samples = samples.n_samples
         seen = replace(plan, members=plan.members[:n_samples])
         visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)

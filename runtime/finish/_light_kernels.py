@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, IntArray
 from spreadlets.compiled import helper, kernel
@@ -24,7 +25,7 @@ FOOTPRINT = 25.0
 STILL_PX = 0.5
 """Length of a path, px, up to which all times are alike."""
 LEAST_CLEAR = np.float32(0.02)
-"""Share of lens and shutter that is clear at least: a light that samples have met is not hidden, whatever is counted."""
+"""Share of lens and shutter that is clear at least: a light that samples have met is not hidden."""
 
 
 class Cells(NamedTuple):
@@ -54,7 +55,7 @@ class Cells(NamedTuple):
 class Points(NamedTuple):
     """Offsets (n, 2), values (n, 1) or (n, 3), and first points of the PSFs: see `runtime.splat.passes.PointTable`."""
 
-    offset_rc: IntArray
+    offset_rc: npt.NDArray[np.int32]
     value: FloatArray
     start: IntArray
 

@@ -19,9 +19,8 @@ import numpy as np
 from spreadlets.arrays import BoolArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _light_kernels
-from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, X, Y
+from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, PATH_Y, X, Y
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.plan.highlights import Highlights
 from spreadlets.runtime.plan.plan import Plan
 
 LONGEST = 256.0
@@ -56,7 +55,7 @@ def add_lights(image: Image, plan: Plan, pixel_sets: Sequence[Pixels], valid: Bo
     valid : ndarray of shape (H, W, S), bool
         Which samples there are.
     """
-    found = _listed(plan.highlights, pixel_sets, valid)
+    found = _listed(plan, pixel_sets, valid)
     if not len(found.label):
         return
     # Find what is hidden of lights that lie side by side and move alike.
@@ -69,29 +68,31 @@ def add_lights(image: Image, plan: Plan, pixel_sets: Sequence[Pixels], valid: Bo
     density = float(valid.sum() / valid[..., 0].size)
     for_bands(_light_kernels.clear_shares, len(lights), lights, reach, cells, density, MOST, clear, hides)
     # Draw each past that, with the light of its sample.
-    label, scale = found.label + plan.first_highlight, np.empty(len(group), np.float32)
+    scale = np.empty(len(group), np.float32)
     points = _light_kernels.Points(plan.table.offset_rc, plan.table.value, plan.table.point_start)
-    for_bands(_light_kernels.light_scales, len(group), group, lights, clear, hides, label, points, scale)
+    for_bands(_light_kernels.light_scales, len(group), group, lights, clear, hides, found.label, points, scale)
     place = np.ascontiguousarray(found.lights[:, : Y + 1])
-    given = place, found.colour, group, lights, clear, label, points, scale
+    given = place, found.colour, group, lights, clear, found.label, points, scale
     for_bands(_light_kernels.add_lights, len(image), *given, image)
 
 
-def _listed(highlights: Highlights, pixel_sets: Sequence[Pixels], valid: BoolArray) -> _Lights:
-    """List the highlights that are lights."""
+def _listed(plan: Plan, pixel_sets: Sequence[Pixels], valid: BoolArray) -> _Lights:
+    """List the lights that reach into the frame."""
+    highlights, reaches, shape = plan.highlights, plan.table.reaches, valid.shape[1::-1]
     parts = [_Lights(np.zeros((0, 5), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.int64))]
     share = np.float32(1.0) / np.maximum(valid.sum(axis=2), 1).astype(np.float32)
     for pixels, at, number, chosen in zip(pixel_sets, *highlights[:2], highlights.lights, strict=True):
-        if not chosen.any():
+        labels = pixels.labels
+        if not chosen.any() or labels.shift is None:
             continue
-        row, col = np.unravel_index(at[chosen], pixels.labels.coc.shape)
-        there = np.stack([col, row], axis=1) + pixels.labels.shift[row, col]
+        row, col = np.unravel_index(at[chosen], labels.coc.shape)
+        there = np.stack([col, row], axis=1) + labels.shift[row, col]
         weight = share[row, col] * (pixels.weight[row, col] if len(pixels.weight) else np.float32(1.0))
-        columns = there, pixels.labels.coc[row, col, None], pixels.labels.whole_path[row, col]
+        columns = np.concatenate([there, labels.coc[row, col, None], labels.whole_path[row, col]], axis=1)
         colour = pixels.radiance[row, col, :3] * weight[:, None]
-        parts.append(
-            _Lights(np.concatenate(columns, axis=1).astype(np.float32), colour, number[chosen].astype(np.int64))
-        )
+        label = number[chosen].astype(np.int64) + plan.first_highlight
+        beyond = np.maximum(-there, there - np.array(shape) + 1.0).max(axis=1)
+        parts.append(_Lights(*(each[beyond <= reaches[label]] for each in (columns.astype(np.float32), colour, label))))
     return _Lights(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -101,15 +102,16 @@ def _occluders(lights: FloatArray, pixel_sets: Sequence[Pixels]) -> tuple[IntArr
     farthest = np.float32(lights[:, COC].max()) - np.float32(LEAST_APART)
     nearest = min(float(each.labels.coc.min()) for each in pixel_sets)
     longest = min(max(float(each.labels.length.max()) for each in pixel_sets), LONGEST)
-    path = np.minimum(np.hypot(*lights[:, PATH_X:].T.astype(np.float64)), LONGEST)
+    path = np.hypot(lights[:, PATH_X], lights[:, PATH_Y])
     shape = pixel_sets[0].labels.coc.shape
-    reach = lights[:, COC] - nearest + 0.5 * (path + longest)
-    reach = np.ceil(np.minimum(reach, sum(shape) + 2.0 * MARGIN_PX)).astype(np.int64)
+    far_off = lights[:, COC] - nearest + 0.5 * (path + longest)
+    reach = np.ceil(np.minimum(far_off, sum(shape) + 2.0 * MARGIN_PX)).astype(np.int64)
     # Mark the cells there, and list the samples in them.
-    wanted = np.zeros([math.ceil((size + 2 * MARGIN_PX) / CELL_PX) for size in shape], np.bool_)
-    for (x, y), far in zip(lights[:, X : Y + 1] + np.float32(MARGIN_PX), reach, strict=True):
-        (top, bottom), (left, right) = (np.clip([z - far, z + far], 0, None) // CELL_PX for z in (y, x))
-        wanted[int(top) : int(bottom) + 1, int(left) : int(right) + 1] = True
+    rows, cols = (math.ceil((size + 2 * MARGIN_PX) / CELL_PX) for size in shape)
+    wanted = np.zeros((rows, cols), np.bool_)
+    cells = np.stack([lights[:, Y] - reach, lights[:, Y] + reach, lights[:, X] - reach, lights[:, X] + reach], axis=1)
+    for top, bottom, left, right in np.clip((cells + MARGIN_PX) // CELL_PX, 0, None).astype(int).tolist():
+        wanted[top : bottom + 1, left : right + 1] = True
     count = np.zeros(wanted.shape, np.int64)
     for each in pixel_sets:
         taken = each.labels.shift, each.labels.coc, each.radiance, farthest, wanted
@@ -119,4 +121,4 @@ def _occluders(lights: FloatArray, pixel_sets: Sequence[Pixels]) -> tuple[IntArr
     for each in pixel_sets:
         taken = each.labels.shift, each.labels.coc, each.radiance, farthest, wanted
         _light_kernels.list_occluders(*taken, CELL_PX, MARGIN_PX, each.labels.whole_path, place, samples)
-    return reach, _light_kernels.Cells(samples, start, count.shape[1], CELL_PX, MARGIN_PX)
+    return reach, _light_kernels.Cells(samples, start, cols, CELL_PX, MARGIN_PX)

@@ -144,22 +144,19 @@ def find_highlights(
         Whether samples that do not move far are lights.
     """
     if exact_psf is None:
-        places, number, chosen = ([np.zeros(0, kind) for _ in keys] for kind in (np.int64, np.int32, np.bool_))
-        return Highlights(places, number, [], chosen)
-    light = _lights(pixel_sets, stochastic)
-    found, least = zip(pixel_sets, keys, light, strict=True), LEAST_CHANGE_BY_LIGHT if lights else LEAST_CHANGE
-    listed = [_listed(pixels, key, each.excess, model, least) for pixels, key, each in found]
-    alone = _from_sources(pixel_sets, keys, listed, light)
+        none = [np.zeros(0, np.int64) for _ in keys]
+        return Highlights(none, [each.astype(np.int32) for each in none], [], [each.astype(np.bool_) for each in none])
+    found, least = _lights(pixel_sets, stochastic), LEAST_CHANGE_BY_LIGHT if lights else LEAST_CHANGE
+    sets = zip(pixel_sets, keys, found, strict=True)
+    listed = [_listed(pixels, key, light.excess, model, least) for pixels, key, light in sets]
+    alone = _from_sources(pixel_sets, keys, listed, found)
     used, number = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
     ends = np.cumsum([len(at) for at, _ in alone])[:-1]
     view = pixel_sets[0].labels.view
     coordinates = _coordinates(used, model, view)
     psfs = list(exact_psf(*coordinates)) if len(used) else []
     places = [at for at, _ in alone]
-    chosen = [
-        _are_lights(*each) if lights else np.zeros(len(each[1]), np.bool_)
-        for each in zip(pixel_sets, places, strict=True)
-    ]
+    chosen = [lights & _are_lights(pixels, at) for pixels, at in zip(pixel_sets, places, strict=True)]
     return Highlights(places, np.split(number.astype(np.int32), ends), psfs, chosen)
 
 

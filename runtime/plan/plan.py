@@ -262,8 +262,8 @@ def plan_pixels(
     """
     # Choose the variants, and read their cells.
     tolerance = 0.0 if dense_psf else options.tolerance
-    kinds = {"stochastic": stochastic, "lights": lights, "shared": shared}
-    chosen = _choose(pixel_sets, database, tolerance, dense_psf, exact_psf, **kinds)
+    makers = dense_psf, exact_psf
+    chosen = _choose(pixel_sets, database, tolerance, *makers, stochastic=stochastic, lights=lights, shared=shared)
     # Assign the pixels to depth layers.
     if layering is None:
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
@@ -309,8 +309,7 @@ def _choose(
     keys, excess = zip(*map(_variant_keys, pixel_sets, given), strict=True)
     _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
-    kinds = {"stochastic": stochastic, "lights": lights}
-    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, **kinds)
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic, lights=lights)
     if shared:
         sets = zip(pixel_sets, given, keys, highlights.places, strict=True)
         keys = tuple(_shared_keys(each, known, key, own, _bright(each)) for each, known, key, own in sets)
