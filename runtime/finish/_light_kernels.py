@@ -150,7 +150,7 @@ def _hide(hidden, light, sample, reach, still):
     along_y = np.float64(sample[PATH_Y]) - np.float64(light[PATH_Y])
     # Most lie too far off at all times.
     half = max(reach, 0.5 * STEP * apart)
-    limit = apart + half
+    limit = (1.0 + 0.5 * STEP) * apart + half
     if abs(x) >= limit + 0.5 * abs(along_x) or abs(y) >= limit + 0.5 * abs(along_y):
         return False
     # On the lens the sample stands for an area; spread over the square, that is a density, and so a share of a cell.

@@ -19,7 +19,7 @@ import numpy as np
 from spreadlets.arrays import BoolArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _light_kernels
-from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, PATH_Y, X, Y
+from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, PATH_Y, TIMES, X, Y
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.plan import Plan
 
@@ -29,7 +29,7 @@ CELL_PX = 8
 MARGIN_PX = 64
 """How far beyond the frame samples may hide a light, px."""
 MOST = 10000
-"""Samples looked at for each group of lights."""
+"""Samples looked at for each group of lights at each time; where nothing moves, all times have theirs together."""
 GROUP_PX = np.array((2.0, 2.0, 1.0, 2.0, 2.0), np.float32)
 """Steps of the columns of lights within which the same is hidden of them, px."""
 
@@ -65,15 +65,16 @@ def add_lights(image: Image, plan: Plan, pixel_sets: Sequence[Pixels], valid: Bo
     lights = (groups / count[:, None]).astype(np.float32)
     reach, cells = _occluders(lights, pixel_sets[: valid.shape[2]])
     clear, hides = np.empty((len(lights), ACROSS, ACROSS), np.float32), np.empty(len(lights), np.bool_)
-    density = float(valid.sum() / valid[..., 0].size)
-    for_bands(_light_kernels.clear_shares, len(lights), lights, reach, cells, density, MOST, clear, hides)
+    density, still = float(valid.sum() / valid[..., 0].size), not any(each.labels.length.any() for each in pixel_sets)
+    given = lights, reach, cells, density, MOST * TIMES if still else MOST, clear, hides
+    for_bands(_light_kernels.clear_shares, len(lights), *given)
     # Draw each past that, with the light of its sample.
     scale = np.empty(len(group), np.float32)
     points = _light_kernels.Points(plan.table.offset_rc, plan.table.value, plan.table.point_start)
     for_bands(_light_kernels.light_scales, len(group), group, lights, clear, hides, found.label, points, scale)
     place = np.ascontiguousarray(found.lights[:, : Y + 1])
-    given = place, found.colour, group, lights, clear, found.label, points, scale
-    for_bands(_light_kernels.add_lights, len(image), *given, image)
+    past = place, found.colour, group, lights, clear, found.label, points, scale
+    for_bands(_light_kernels.add_lights, len(image), *past, image)
 
 
 def _listed(plan: Plan, pixel_sets: Sequence[Pixels], valid: BoolArray) -> _Lights:

@@ -46,8 +46,6 @@ LEAST_KNOWN = 0.25
 LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
 """Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
 of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
-LEAST_CHANGE_BY_LIGHT = 0.3 * LEAST_CHANGE
-"""The same for lights: a layer would blur them more than a cell, where little of it is seen."""
 LONGEST_PATH = 2.0
 """Longest path of a light, in its CoC radii: a few times of the shutter then tell what is hidden of it."""
 LARGEST_AREA = 1 << 18
@@ -146,9 +144,9 @@ def find_highlights(
     if exact_psf is None:
         none = [np.zeros(0, np.int64) for _ in keys]
         return Highlights(none, [each.astype(np.int32) for each in none], [], [each.astype(np.bool_) for each in none])
-    found, least = _lights(pixel_sets, stochastic), LEAST_CHANGE_BY_LIGHT if lights else LEAST_CHANGE
+    found = _lights(pixel_sets, stochastic)
     sets = zip(pixel_sets, keys, found, strict=True)
-    listed = [_listed(pixels, key, light.excess, model, least) for pixels, key, light in sets]
+    listed = [_listed(pixels, key, light.excess, model) for pixels, key, light in sets]
     alone = _from_sources(pixel_sets, keys, listed, found)
     used, number = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
     ends = np.cumsum([len(at) for at, _ in alone])[:-1]
@@ -338,9 +336,7 @@ def _row_sums(plane: FloatArray) -> FloatArray:
     return sums
 
 
-def _listed(
-    pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel, least: float
-) -> tuple[IntArray, IntArray]:
+def _listed(pixels: Pixels, key: IntArray, excess: FloatArray, model: PsfModel) -> tuple[IntArray, IntArray]:
     """Return the numbers, in raster order, and the codes of a pass's highlights."""
     labels, counts = pixels.labels, np.empty(len(key), np.int64)
     nothing = np.zeros((), np.float32)
@@ -349,7 +345,7 @@ def _listed(
     heading = np.broadcast_to(heading, (*key.shape, 2))
     sided = model.symmetry.sign != "ignored"
     steps = CodeSteps(RADIUS_STEPS, longest_step(model, labels.view.frame_shape[1]), THIN_RADIUS_PX, sided)
-    given = key, excess, CodedLabels(labels.coc, length, heading), steps, (least, float(LARGEST_AREA))
+    given = key, excess, CodedLabels(labels.coc, length, heading), steps, (LEAST_CHANGE, float(LARGEST_AREA))
     for_bands(_highlight_kernels.count_highlights, len(key), *given, counts)
     at, code = np.empty((2, int(counts.sum())), np.int64)
     for_bands(_highlight_kernels.list_highlights, len(key), *given, np.cumsum(counts) - counts, at, code)
