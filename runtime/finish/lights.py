@@ -88,9 +88,8 @@ def _listed(plan: Plan, pixel_sets: Sequence[Pixels], valid: BoolArray) -> _Ligh
             continue
         row, col = np.unravel_index(at[chosen], labels.coc.shape)
         there = np.stack([col, row], axis=1) + labels.shift[row, col]
-        weight = share[row, col] * (pixels.weight[row, col] if len(pixels.weight) else np.float32(1.0))
         columns = np.concatenate([there, labels.coc[row, col, None], labels.whole_path[row, col]], axis=1)
-        colour = pixels.radiance[row, col, :3] * weight[:, None]
+        colour = pixels.radiance[row, col, :3] * share[row, col, None]
         label = number[chosen].astype(np.int64) + plan.first_highlight
         beyond = np.maximum(-there, there - np.array(shape) + 1.0).max(axis=1)
         parts.append(_Lights(*(each[beyond <= reaches[label]] for each in (columns.astype(np.float32), colour, label))))
