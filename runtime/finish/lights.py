@@ -19,7 +19,7 @@ import numpy as np
 from spreadlets.arrays import BoolArray, FloatArray, Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _light_kernels
-from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, PATH_Y, TIMES, X, Y
+from spreadlets.runtime.finish._light_kernels import ACROSS, COC, LEAST_APART, PATH_X, PATH_Y, X, Y
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.plan import Plan
 
@@ -28,8 +28,8 @@ LONGEST = 256.0
 CELL_PX = 8
 MARGIN_PX = 64
 """How far beyond the frame samples may hide a light, px."""
-MOST = 10000
-"""Samples looked at for each group of lights at each time; where nothing moves, all times have theirs together."""
+MOST, MOST_STILL = 6000, 40000
+"""Samples looked at for each group of lights: at each of several times, or once, where nothing moves."""
 GROUP_PX = np.array((2.0, 2.0, 1.0, 2.0, 2.0), np.float32)
 """Steps of the columns of lights within which the same is hidden of them, px."""
 
@@ -66,7 +66,7 @@ def add_lights(image: Image, plan: Plan, pixel_sets: Sequence[Pixels], valid: Bo
     reach, cells = _occluders(lights, pixel_sets[: valid.shape[2]])
     clear, hides = np.empty((len(lights), ACROSS, ACROSS), np.float32), np.empty(len(lights), np.bool_)
     density, still = float(valid.sum() / valid[..., 0].size), not any(each.labels.length.any() for each in pixel_sets)
-    given = lights, reach, cells, density, MOST * TIMES if still else MOST, clear, hides
+    given = lights, reach, cells, density, MOST_STILL if still else MOST, clear, hides
     for_bands(_light_kernels.clear_shares, len(lights), *given)
     # Draw each past that, with the light of its sample.
     scale = np.empty(len(group), np.float32)
