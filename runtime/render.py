@@ -27,6 +27,7 @@ from spreadlets.runtime.composite.visibility import (
 )
 from spreadlets.runtime.finish.calibration import NOWHERE, calibrated, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
+from spreadlets.runtime.finish.lights import add_lights
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.carried import carried, moves_itself
 from spreadlets.runtime.label.fireflies import clamp_fireflies
@@ -332,9 +333,9 @@ def reconstruct(
         pixel_sets = evened(pixel_sets, n_layers)
         effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
         drawn = sample_steps(samples, pixel_sets, camera, effects)
-        plan = plan_pixels(
-            drawn, database, options, n_layers, stochastic=True, dense_psf=dense_psf, exact_psf=exact_psf
-        )
+        shows_samples = _shows_samples(samples, camera, database, options)
+        draw = partial(plan_pixels, dense_psf=dense_psf, exact_psf=exact_psf)
+        plan = draw(drawn, database, options, n_layers, stochastic=True, lights=shows_samples)
         n_samples = samples.n_samples
         seen = replace(plan, members=plan.members[:n_samples])
         visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)
@@ -343,18 +344,18 @@ def reconstruct(
         drawing = plan.lay_out(drawn)
     image = np.zeros((*samples.shape, 4), np.float32)
     # A gain of the colours alone would part them from an alpha that is as inexact.
-    calibrates = closed and options.calibrate and _shows_samples(samples, camera, database, options)
+    calibrates = closed and options.calibrate and shows_samples
     parts: list[tuple[int, Image]] = []
     _add_drawing(
         image, drawing, visibility, _solver(options), clock, tally, closed=closed, parts=parts if calibrates else None
     )
     with clock.step("composite"):
         if parts:
-            image = calibrated(
-                parts, list(zip([each.radiance for each in pixel_sets], _places(samples, visibility), strict=True))
-            )
+            colours = [each.radiance for each in plan.highlights.without_lights(pixel_sets)]
+            image = calibrated(parts, list(zip(colours, _places(samples, visibility), strict=True)))
         else:
             plan.left_out.append("calibration")
+        add_lights(image, plan, drawn, samples.valid)
     if options.denoise is not None:
         with clock.step("composite"):
             image = denoise_sharp(image, _sharp_share(seen, samples.valid), options.denoise)

@@ -46,6 +46,8 @@ LEAST_KNOWN = 0.25
 LEAST_CHANGE = 10.0 * DEFAULT_TOLERANCE
 """Change of the display under a PSF from which its rim shows. A cell's PSF has a ramp in place of its rim, off by half
 of the level at most; over the whole of the PSF that is a tenth of it in the mean, and so one step of the display."""
+LONGEST_PATH = 2.0
+"""Longest path of a light, in its CoC radii: a few times of the shutter then tell what is hidden of it."""
 LARGEST_AREA = 1 << 18
 """Largest PSF that is drawn in full, px; a lamp that is spread over more has no rim to see."""
 
@@ -61,15 +63,23 @@ class Highlights(NamedTuple):
         Which of the PSFs is theirs.
     psfs : list of Spreadlet
         Direct points, their rows ascending.
+    lights : list of ndarrays of shape (n,), bool
+        Which of them are no splats of a layer, but lights, see `runtime.finish.lights`.
     """
 
     places: list[IntArray]
     number: list[npt.NDArray[np.int32]]
     psfs: list[Spreadlet]
+    lights: list[BoolArray]
 
     def dimmed(self, pixel_sets: Sequence[Pixels]) -> list[Pixels]:
         """Return the sets without the colours of highlights; their alpha stays."""
         return [_dimmed(pixels, at) for pixels, at in zip(pixel_sets, self.places, strict=True)]
+
+    def without_lights(self, pixel_sets: Sequence[Pixels]) -> list[Pixels]:
+        """Return the first sets without the colours of lights; their alpha stays."""
+        found = zip(pixel_sets, self.places, self.lights, strict=False)
+        return [_dimmed(pixels, at[chosen]) for pixels, at, chosen in found]
 
     def splats(
         self,
@@ -79,7 +89,7 @@ class Highlights(NamedTuple):
         first_variant: int,
         wide: npt.NDArray[np.bool_],
     ) -> list[SplatPass]:
-        """Return the pass that draws the colours of highlights, without alpha; none if there are no highlights.
+        """Return the pass that draws the colours of highlights, but for lights, without alpha; none if there are none.
 
         Parameters
         ----------
@@ -93,9 +103,11 @@ class Highlights(NamedTuple):
             Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
         """
         lights = [
-            _Lights.of(pixels, member, at, number + np.int32(first_variant))
-            for pixels, member, at, number in zip(pixel_sets, members, self.places, self.number, strict=True)
-            if len(at)
+            _Lights.of(pixels, member, at[~chosen], number[~chosen] + np.int32(first_variant))
+            for pixels, member, at, number, chosen in zip(
+                pixel_sets, members, self.places, self.number, self.lights, strict=True
+            )
+            if not chosen.all()
         ]
         if not lights:
             return []
@@ -112,6 +124,7 @@ def find_highlights(
     exact_psf: ExactPsf | None,
     *,
     stochastic: bool = False,
+    lights: bool = False,
 ) -> Highlights:
     """Find the pixels whose light shows the rim of a PSF, and make their PSFs.
 
@@ -125,19 +138,33 @@ def find_highlights(
         What makes the PSFs; None if there are none but those of cells.
     stochastic : bool
         Whether the pixels are samples, which may be missing.
+    lights : bool
+        Whether samples that do not move far are lights.
     """
     if exact_psf is None:
-        return Highlights([np.zeros(0, np.int64) for _ in keys], [np.zeros(0, np.int32) for _ in keys], [])
-    lights = _lights(pixel_sets, stochastic)
-    found = zip(pixel_sets, keys, lights, strict=True)
-    listed = [_listed(pixels, key, light.excess, model) for pixels, key, light in found]
-    alone = _from_sources(pixel_sets, keys, listed, lights)
+        none = [np.zeros(0, np.int64) for _ in keys]
+        return Highlights(none, [each.astype(np.int32) for each in none], [], [each.astype(np.bool_) for each in none])
+    found = _lights(pixel_sets, stochastic)
+    sets = zip(pixel_sets, keys, found, strict=True)
+    listed = [_listed(pixels, key, light.excess, model) for pixels, key, light in sets]
+    alone = _from_sources(pixel_sets, keys, listed, found)
     used, number = np.unique(np.concatenate([codes for _, codes in alone]), return_inverse=True)
     ends = np.cumsum([len(at) for at, _ in alone])[:-1]
     view = pixel_sets[0].labels.view
     coordinates = _coordinates(used, model, view)
     psfs = list(exact_psf(*coordinates)) if len(used) else []
-    return Highlights([at for at, _ in alone], np.split(number.astype(np.int32), ends), psfs)
+    places = [at for at, _ in alone]
+    chosen = [lights & _are_lights(pixels, at) for pixels, at in zip(pixel_sets, places, strict=True)]
+    return Highlights(places, np.split(number.astype(np.int32), ends), psfs, chosen)
+
+
+def _are_lights(pixels: Pixels, at: IntArray) -> BoolArray:
+    """Tell which pixels are drawn as lights: those that a list draws at steps of time are not."""
+    if pixels.is_list:
+        return np.zeros(len(at), np.bool_)
+    labels = pixels.labels
+    near = labels.length.ravel()[at] <= LONGEST_PATH * np.abs(labels.coc.ravel()[at])
+    return near if pixels.curved is None else near & ~pixels.curved.ravel()[at]
 
 
 def _dimmed(pixels: Pixels, highlights: IntArray) -> Pixels:

@@ -128,6 +128,10 @@ class Plan:
         What is not needed.
     lay_out : callable
         Makes the `Drawing` of pixels with these labels and whatever colours.
+    highlights : Highlights
+        Those of its pixels that are lights are not in the drawing.
+    first_highlight : int
+        The variant of the first of their PSFs.
     """
 
     table: PointTable
@@ -137,6 +141,8 @@ class Plan:
     pixels_skipped: int
     left_out: list[str]
     lay_out: Callable[[Sequence[Pixels]], Drawing]
+    highlights: Highlights
+    first_highlight: int
 
 
 class _Choice(NamedTuple):
@@ -217,6 +223,7 @@ def plan_pixels(
     *,
     border: bool = True,
     stochastic: bool = False,
+    lights: bool = False,
     dense_psf: DensePsf | None = None,
     exact_psf: ExactPsf | None = None,
     layering: Layering | None = None,
@@ -237,6 +244,8 @@ def plan_pixels(
         Whether to continue the frame beyond its border.
     stochastic : bool
         Whether the pixels are stochastic samples.
+    lights : bool
+        Whether highlights of samples are left out of what is laid out, see `runtime.finish.lights`.
     dense_psf : callable or None
         If given, every PSF is drawn in full from it, none as a spreadlet.
     exact_psf : ExactPsf or None
@@ -253,7 +262,8 @@ def plan_pixels(
     """
     # Choose the variants, and read their cells.
     tolerance = 0.0 if dense_psf else options.tolerance
-    chosen = _choose(pixel_sets, database, tolerance, dense_psf, exact_psf, stochastic=stochastic, shared=shared)
+    makers = dense_psf, exact_psf
+    chosen = _choose(pixel_sets, database, tolerance, *makers, stochastic=stochastic, lights=lights, shared=shared)
     # Assign the pixels to depth layers.
     if layering is None:
         layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
@@ -277,6 +287,8 @@ def plan_pixels(
             border=border,
             stochastic=stochastic,
         ),
+        highlights=chosen.highlights,
+        first_highlight=chosen.n_variants,
     )
 
 
@@ -288,6 +300,7 @@ def _choose(
     exact_psf: ExactPsf | None,
     *,
     stochastic: bool,
+    lights: bool,
     shared: bool,
 ) -> _Choice:
     """Choose the PSF of each pixel, and read just those that are in use."""
@@ -296,7 +309,7 @@ def _choose(
     keys, excess = zip(*map(_variant_keys, pixel_sets, given), strict=True)
     _warn_beyond_range(database.grid, np.concatenate(excess), keys)
     # Give highlights PSFs of their own; of other bright pixels, blocks share out the cells.
-    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic)
+    highlights = find_highlights(pixel_sets, keys, database.grid.model, exact_psf, stochastic=stochastic, lights=lights)
     if shared:
         sets = zip(pixel_sets, given, keys, highlights.places, strict=True)
         keys = tuple(_shared_keys(each, known, key, own, _bright(each)) for each, known, key, own in sets)
