@@ -160,7 +160,7 @@ class _Lights(NamedTuple):
 
     @classmethod
     def of(cls, pixels: Pixels, members: Membership, chosen: IntArray, label: npt.NDArray[np.int32]) -> _Lights:
-        """List pixels of a pass by their numbers in raster order, with their labels."""
+        """List pixels of a pass by their numbers in raster order, with their labels, at each of their places."""
         at = np.unravel_index(chosen, members.layer.shape)
         weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
         places = pixels.labels.view.places
@@ -169,7 +169,12 @@ class _Lights(NamedTuple):
             place += pixels.labels.shift[at][:, ::-1]
         radiance = pixels.radiance[at] * weight
         radiance[:, 3] = 0.0
-        return cls(radiance, label, members.layer[at], members.farther[at], place)
+        lights = cls(radiance, label, members.layer[at], members.farther[at], place)
+        if pixels.labels.trail is None:
+            return lights
+        which, away, share = pixels.labels.trail.places(chosen)
+        lights = lights.only(which)
+        return lights._replace(radiance=lights.radiance * share[:, None], place=lights.place + away[:, ::-1])
 
     def placed(self, wide: npt.NDArray[np.bool_]) -> _Lights:
         """Split what lies between pixels, bilinearly; wide variants are moved to the next pixel."""
@@ -193,7 +198,7 @@ class _Lights(NamedTuple):
             parts.append(each.only(share > 0.0))
         return parts
 
-    def only(self, kept: BoolArray) -> _Lights:
+    def only(self, kept: BoolArray | IntArray) -> _Lights:
         """Return some of the pixels."""
         return _Lights(*map(operator.itemgetter(kept), self))
 

@@ -578,7 +578,8 @@ def _splat_passes(
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at
-            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, at, wide, limit))
+            own = pixels.labels.shift, at, wide, limit, pixels.labels.trail
+            shifted.append(place_pixels(pixels.radiance, weight, label, *own))
     yield from pool(shifted, shape, table.reaches, n_layers)
 
 

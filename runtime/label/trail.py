@@ -1,0 +1,86 @@
+"""Ways of pixels whose PSFs do not move: such a pixel is drawn at several places, with a share of its light at each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spreadlets.arrays import FloatArray, Image, IntArray
+from spreadlets.parallel import for_bands
+from spreadlets.runtime.label import _label_kernels
+from spreadlets.scene.shutter import shutter_shares
+
+
+class Trail(NamedTuple):
+    """The places of pixels, counted from where each lies at the frame's time.
+
+    Attributes
+    ----------
+    n_places : ndarray of shape (H, W), int32
+        Number of places of each pixel: where it is amid so many equal steps of the shutter's time.
+    before, after : ndarray of shape (H, W, 2), float32
+        Motion (dx, dy) to the frame's time and from it, px per frame.
+    time, share : ndarray of shape (n,), float32
+        Times, frames, and shares of the light of the places of a pixel; those of n places begin at ``n * (n - 1) / 2``.
+    """
+
+    n_places: npt.NDArray[np.int32]
+    before: Image
+    after: Image
+    time: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        n_places: npt.NDArray[np.int32],
+        motion: tuple[Image, Image],
+        shutter: tuple[float, float],
+        curve: Sequence[float] | str | None,
+    ) -> Trail:
+        """Return the trails of pixels by their motion before and after; the shutter is open along a curve."""
+        counts = range(1, 1 + int(n_places.max()))
+        ends = [np.linspace(*shutter, each + 1) for each in counts]
+        time = np.concatenate([0.5 * (each[:-1] + each[1:]) for each in ends])
+        share = np.concatenate([shutter_shares(curve, each) for each in counts])
+        return cls(n_places, *motion, time.astype(np.float32), share.astype(np.float32))
+
+    @classmethod
+    def unmoved(cls, shape: tuple[int, ...]) -> Trail:
+        """Return the trails of pixels (H, W) that stay where they are."""
+        still = np.zeros((*shape, 2), np.float32)
+        return cls(np.ones(shape, np.int32), still, still, np.zeros(1, np.float32), np.ones(1, np.float32))
+
+    @classmethod
+    def joined(cls, trails: Sequence[Trail]) -> Trail:
+        """Return the trails of several lists, of one shutter, as those of one."""
+        longest = max(trails, key=lambda each: len(each.time))
+        n_places, before, after = (np.concatenate(each) for each in list(zip(*trails, strict=True))[:3])
+        return cls(n_places, before, after, longest.time, longest.share)
+
+    def places(self, chosen: IntArray) -> tuple[IntArray, Image, FloatArray]:
+        """Return the places of some pixels, by their numbers in raster order.
+
+        Returns
+        -------
+        which : ndarray of shape (n,), int64
+            The pixel of each place, counted among those chosen.
+        place : ndarray of shape (n, 2), float32
+            From where the pixel lies at the frame's time, (dx, dy), px.
+        share : ndarray of shape (n,), float32
+        """
+        count = self.n_places.ravel()[chosen].astype(np.int64)
+        which = np.repeat(np.arange(len(count)), count)
+        entry = np.arange(len(which)) - (np.cumsum(count) - count - count * (count - 1) // 2)[which]
+        before, after = (each.reshape(-1, 2)[chosen][which] for each in (self.before, self.after))
+        return which, curved_places(before[None], after[None], self.time[entry][None])[0], self.share[entry]
+
+
+def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
+    """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
+    place = np.empty_like(before)
+    for_bands(_label_kernels.path_places, len(place), before, after, time, place)
+    return place
