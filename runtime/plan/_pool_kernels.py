@@ -8,7 +8,7 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import add, load, multiply, store
-from spreadlets.runtime.label._label_kernels import path_place
+from spreadlets.runtime.label._label_kernels import on_parabola, power, turns_evenly
 from spreadlets.runtime.plan._border_kernels import dimming
 
 _U = np.uint64
@@ -24,11 +24,11 @@ sum is looked for: the golden ratio and the root of 2, by which neighbours lie a
 
 
 class Way(NamedTuple):
-    """The way of each pixel: motion (H, W, 2) before and after, and times (n,), see `runtime.label.trail.Trail`."""
+    """The way of each pixel: motion (H, W, 2) before and after, and when the shutter opens and closes, frames."""
 
     before: Image
     after: Image
-    time: Image
+    shutter: tuple[float, float]
 
 
 class Stepped(NamedTuple):
@@ -113,11 +113,12 @@ def place_steps(begin, end, shift, label, wide, way, first, steps):
     wide : ndarray of shape (n_variants,), bool
         Variants whose centres are moved to the next pixel.
     way : Way
-        Along which there are several for each pixel, counted from ``shift``; not read if there are not.
+        Along which there are several for each pixel, counted from ``shift``; not read if there are not. They lie amid
+        equal steps of the shutter's time, see `runtime.label.trail.Trail`.
     first : ndarray of shape (H * W + 1,) or (0,), int64
         See `Stepped`.
     """
-    before, after, time = way
+    before, after, (opens, closes) = way
     for row in range(begin, end):
         for col in range(label.shape[1]):
             if label[row, col] < 0:
@@ -129,11 +130,16 @@ def place_steps(begin, end, shift, label, wide, way, first, steps):
                 continue
             p = complex(before[row, col, 0], before[row, col, 1])
             n = complex(after[row, col, 0], after[row, col, 1])
-            known = (stop - start) * (stop - start - 1) // 2
-            for k in range(stop - start):
-                place = path_place(p, n, np.float64(time[known + k]))
-                steps[start + k, 0] = _step(np.float64(y + np.float32(place.imag)), whole)
-                steps[start + k, 1] = _step(np.float64(x + np.float32(place.real)), whole)
+            # Of an even turn, one place is a constant turn and growth away from the next.
+            even, each = turns_evenly(p, n), (closes - opens) / (stop - start)
+            q = n / p if even else complex(1.0, 0.0)
+            scale = n / (q - 1.0) if even else complex(0.0, 0.0)
+            turned, turn = power(q, opens + 0.5 * each), power(q, each)
+            for k in range(start, stop):
+                z = scale * (turned - 1.0) if even else on_parabola(p, n, opens + (k - start + 0.5) * each)
+                turned *= turn
+                steps[k, 0] = _step(np.float64(y + np.float32(z.imag)), whole)
+                steps[k, 1] = _step(np.float64(x + np.float32(z.real)), whole)
 
 
 @helper

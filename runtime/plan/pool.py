@@ -33,7 +33,7 @@ SLOTS_PER_SUM = 4
 MOST_SPLATS = 1 << 25
 """Splats that are pooled at a time: some 2 GiB, if no two agree."""
 
-NO_WAY = Way(np.zeros((0, 0, 2), np.float32), np.zeros((0, 0, 2), np.float32), np.zeros(0, np.float32))
+NO_WAY = Way(np.zeros((0, 0, 2), np.float32), np.zeros((0, 0, 2), np.float32), (0.0, 0.0))
 """The way of pixels that are drawn once."""
 
 
@@ -83,7 +83,7 @@ def place_pixels(
     first, share, way, n_steps = np.zeros(0, np.int64), np.zeros(0, np.float32), NO_WAY, label.size
     if trail is not None:
         first = np.concatenate([[0], np.cumsum(np.where(label >= 0, trail.n_places, 0))])
-        share, way, n_steps = trail.share, Way(trail.before, trail.after, trail.time), int(first[-1])
+        share, way, n_steps = trail.share, Way(trail.before, trail.after, trail.shutter), int(first[-1])
     steps = np.empty((n_steps, 2), np.int32)
     for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, way, first, steps)
     weight = weight if len(weight) else np.ones(label.shape, np.float32)
