@@ -228,10 +228,10 @@ def list_pixels(begin, end, pixels, frame, reach, rows, at, n_splats, listed):
 @helper
 def _slot_of(slot, key, line, col, n_cols):
     """Return the slot of a sum, or the free one where it belongs."""
-    wanted, spread = line * n_cols + col, (line * SPREAD[0] + col * SPREAD[1]) & ((1 << SPREAD_BITS) - 1)
-    place = _U((spread * len(slot)) >> SPREAD_BITS)
+    wanted, spread = line * n_cols + col, (line * SPREAD[0] + (col >> 2) * SPREAD[1]) & ((1 << SPREAD_BITS) - 1)
+    place = _U((((spread * len(slot)) >> SPREAD_BITS) & -4) + (col & 3))
     while slot[place] >= 0 and key[_U(slot[place])] != wanted:
-        place = place + _U(1) if place + _U(1) < _U(len(slot)) else _U(0)
+        place = place + _U(4) if place + _U(4) < _U(len(slot)) else place + _U(4) - _U(len(slot))
     return place
 
 
