@@ -20,7 +20,7 @@ from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels, listed, rows_of
-from spreadlets.runtime.label.trail import Trail, curved_places
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.shutter import shutter_shares
@@ -217,6 +217,13 @@ def places_at(layer: Layer, camera: ThinLens, time: float) -> Image:
     place = _places(layer, time)
     later = _later(camera, np.arange(len(place)), len(place))
     return place if later is None else place + layer.motion * later[:, None, None]
+
+
+def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
+    """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
+    place = np.empty_like(before)
+    for_bands(_label_kernels.path_places, len(place), before, after, time, place)
+    return place
 
 
 def rolled(layer: Layer, labels: Labels, camera: ThinLens) -> Labels:

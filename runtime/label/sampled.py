@@ -12,8 +12,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels, camera_view
 from spreadlets.runtime.label.lists import Pixels, joined
-from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, in_time, rolled
-from spreadlets.runtime.label.trail import curved_places
+from spreadlets.runtime.label.moving import AS_IT_IS, Effects, coc_radii, curved_places, in_time, rolled
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.samples import SampleBuffer

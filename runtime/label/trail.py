@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from spreadlets.arrays import FloatArray, Image, IntArray
-from spreadlets.parallel import for_bands
-from spreadlets.runtime.label import _label_kernels
 from spreadlets.scene.shutter import shutter_shares
 
 
@@ -61,28 +59,7 @@ class Trail(NamedTuple):
         n_places, before, after = (np.concatenate(each) for each in list(zip(*trails, strict=True))[:3])
         return cls(n_places, before, after, longest.shutter, longest.share)
 
-    def places(self, chosen: IntArray) -> tuple[IntArray, Image, FloatArray]:
-        """Return the places of some pixels, by their numbers in raster order.
-
-        Returns
-        -------
-        which : ndarray of shape (n,), int64
-            The pixel of each place, counted among those chosen.
-        place : ndarray of shape (n, 2), float32
-            From where the pixel lies at the frame's time, (dx, dy), px.
-        share : ndarray of shape (n,), float32
-        """
-        n_places, (opens, closes) = self.n_places.ravel()[chosen].astype(np.int64), self.shutter
-        which = np.repeat(np.arange(len(n_places)), n_places)
-        number = np.arange(len(which)) - (np.cumsum(n_places) - n_places)[which]
-        share = self.share[number + (n_places * (n_places - 1) // 2)[which]]
-        time = (opens + (closes - opens) * (number + 0.5) / n_places[which]).astype(np.float32)
-        before, after = (each.reshape(-1, 2)[chosen][which] for each in (self.before, self.after))
-        return which, curved_places(before[None], after[None], time[None])[0], share
-
-
-def curved_places(before: Image, after: Image, time: FloatArray) -> Image:
-    """Return where pixels are at times (H, W), frames, on the curves through three places, px (dx, dy), (H, W, 2)."""
-    place = np.empty_like(before)
-    for_bands(_label_kernels.path_places, len(place), before, after, time, place)
-    return place
+    def of_pixels(self, at: tuple[IntArray, ...]) -> Trail:
+        """Return the trails of some pixels by their rows and columns (n,), in one row."""
+        n_places, before, after = self.n_places[at][None], self.before[at][None], self.after[at][None]
+        return Trail(n_places, before, after, self.shutter, self.share)
