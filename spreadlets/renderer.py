@@ -97,7 +97,7 @@ class Renderer:
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
         self._neighbours = [hidden_from] if isinstance(hidden_from, Frame) else list(hidden_from)
-        _check_neighbours(self._neighbours, self.frame)
+        check_neighbours(self._neighbours, self.frame)
         self._database = database
         self._bokeh = BokehCache(database, progress) if isinstance(database, Model) else None
         self._opened: list[Database] = []
@@ -442,7 +442,7 @@ class Renderer:
                 self._current = None
 
 
-def _check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
+def check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
     """Raise InvalidParameterError if nothing can be taken from the neighbouring frames of another."""
     name = option("hidden_from")
     if neighbours and len(frame.layers) > 1:
