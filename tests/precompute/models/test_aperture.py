@@ -59,8 +59,11 @@ def lit_points(shape, n):
     return u[lit], v[lit]
 
 
-def drawn(shape, radius, path=(0.0, 0.0), weights=(1.0,), side=1, n=1000):
-    """Draw the lens point by point, moved along a path with the weights of the shutter's times."""
+def drawn(shape, radius, path=(0.0, 0.0), weights=(1.0,), side=1, n=1344):
+    """Draw the lens point by point, moved along a path with the weights of the shutter's times.
+
+    By default a whole number of points lies across each pixel of a lens of radius 3 or 14.
+    """
     u, v = lit_points(tuple(shape.items()), n)
     stretch = side * (1 + side * shape.get("spherical_aberration", 0.0) * (u**2 + v**2 - 1))
     x, y = radius * shape.get("squeeze", 1.0) * stretch * u, radius * stretch * v
