@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import itemgetter
 from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, Unpack, overload
@@ -28,6 +29,7 @@ from spreadlets.scene.parts import (
     cut,
     depth_at,
     means,
+    pixel_under,
     put_before,
     region_window,
     seen_depth,
@@ -35,7 +37,8 @@ from spreadlets.scene.parts import (
     smaller_raster,
     without,
 )
-from spreadlets.scene.raster import Raster
+from spreadlets.scene.raster import Raster, Window
+from spreadlets.scene.squares import Grid, squared
 
 if TYPE_CHECKING:
     from spreadlets.runtime.clock import Clock
@@ -94,7 +97,7 @@ class Renderer:
 
         self.frame = frame if isinstance(frame, Frame) else Frame.from_layers(list(frame))
         self._neighbours = [hidden_from] if isinstance(hidden_from, Frame) else list(hidden_from)
-        _check_neighbours(self._neighbours, self.frame)
+        check_neighbours(self._neighbours, self.frame)
         self._database = database
         self._bokeh = BokehCache(database, progress) if isinstance(database, Model) else None
         self._opened: list[Database] = []
@@ -266,6 +269,44 @@ class Renderer:
         """
         return depth_at(self.depth, self.frame.raster, x, y)
 
+    def motion_at(self, camera: ThinLens, x: float, y: float) -> tuple[float, float]:
+        """Return the motion of what is nearest under a point as it is drawn, (dx, dy), px per frame.
+
+        That of the frame's motion vectors; or, if it has none, as the camera's move makes it.
+
+        Parameters
+        ----------
+        camera : ThinLens
+        x, y : float
+            As for `depth_at`.
+
+        Raises
+        ------
+        InvalidParameterError
+            As `depth_at` does.
+        """
+        from spreadlets.runtime.label.carried import carried
+
+        layer, raster = self.frame.layers[0], self.frame.raster
+        row, col = pixel_under(raster, x, y)
+        motion = layer.motion[row, col]
+        if camera.moves_picture and not self._moves_itself:
+            # A lens sees squares: divide the pixel into them, and follow the first.
+            left, top = raster.data[:2]
+            alone = replace(raster, data=Window(left + col, top + row, 1, 1), stored=None)
+            take = itemgetter(np.s_[row : row + 1, col : col + 1])
+            pixel = replace(layer.mapped(take, take, take(layer.radiance)), raster=alone)
+            camera = camera.fitted(raster.display.shape, raster.pixel_aspect)
+            (moved,) = carried(squared(Frame.of([pixel])).layers, camera)
+            motion = moved.motion[0, 0] / np.array(Grid.of(raster.pixel_aspect).per_pixel, np.float32)
+        return float(motion[0]), float(motion[1])
+
+    @cached_property
+    def _moves_itself(self) -> bool:
+        from spreadlets.runtime.label.carried import moves_itself
+
+        return moves_itself(self.frame.layers)
+
     def close(self) -> None:
         """Close the databases that this renderer has opened."""
         with self._lock:
@@ -401,7 +442,7 @@ class Renderer:
                 self._current = None
 
 
-def _check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
+def check_neighbours(neighbours: Sequence[Frame], frame: Frame) -> None:
     """Raise InvalidParameterError if nothing can be taken from the neighbouring frames of another."""
     name = option("hidden_from")
     if neighbours and len(frame.layers) > 1:

@@ -82,7 +82,8 @@ def _usual_runs() -> Iterator[Callable[[], Any]]:
     near = Frame(np.float32(0.5) * radiance, np.float32(0.5) * depth, motion)
     yield partial(synthesize, frame, CAMERA, "combined")
     yield partial(synthesize, curved, CAMERA, "combined", layers=1)
-    yield partial(synthesize, [near, frame], CAMERA, "combined")
+    for database in ("combined", "volume"):
+        yield partial(synthesize, [near, frame], CAMERA, database)
     for path in sorted(shipped_folder().glob("*.h5")):
         yield partial(synthesize, frame, CAMERA, str(path))
     yield partial(reconstruct, samples, CAMERA, "combined")

@@ -102,7 +102,9 @@ def anneal_fitted(
             if len(free) == 0 or fit.inverse[point, point] <= 0.0:
                 continue
             proposal = _judged(equations, fit, int(point), int(rng.choice(free)))
-            if proposal.rise >= 0.0 and rng.random() >= np.exp(-proposal.rise / (2.0 * temperature * error)):
+            # Of an exact fit rounding leaves an error of 0 or below, which nothing may raise.
+            chance = np.exp(-proposal.rise / (2.0 * temperature * error)) if proposal.rise >= 0.0 < error else 0.0
+            if proposal.rise >= 0.0 and rng.random() >= chance:
                 continue
             occupied[[fit.chosen[point], proposal.target]] = False, True
             _move(fit, proposal)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 MOST_GROWTH = 2.0
 """Change of speed over a frame from which a motion no longer changes evenly."""
@@ -52,14 +52,40 @@ def count_segments(begin, end, before, after, radius, time, tolerance, most, seg
             segments[row, col] = count
 
 
+@helper
+def turns_evenly(p, n):
+    """Tell whether a path turns and grows evenly, with ``p`` and ``n`` the motion before and after as complex numbers.
+
+    Where the velocity changes by too much for that to mean something (a start, a stop, a bounce), the path is a
+    parabola, and so it is where the two are the same.
+    """
+    if p == 0.0 or p == n:
+        return False
+    q = n / p
+    even = 1.0 / MOST_GROWTH < abs(q) < MOST_GROWTH and abs(math.atan2(q.imag, q.real)) < MOST_TURN
+    return even and abs(q - 1.0) > LEAST_CHANGE
+
+
+@helper
+def power(q, t):
+    """Return a power of a complex number with a turn of less than half a circle."""
+    size, angle = abs(q) ** t, math.atan2(q.imag, q.real) * t
+    return complex(size * math.cos(angle), size * math.sin(angle))
+
+
+@helper
+def on_parabola(p, n, t):
+    """Return where a parabola leads in a time."""
+    return 0.5 * t * (n + p) + 0.5 * t * t * (n - p)
+
+
 @kernel
 def path_places(begin, end, before, after, time, place):
     """Fill ``place`` (H, W, 2), float32, with where each path leads in a time, px from where it is at time 0.
 
     The path leads through the places one frame before and after. It is the one whose velocity turns and grows evenly,
     with ``q = after / before`` as complex numbers: ``after (q^time - 1) / (q - 1)``, an arc for what turns at constant
-    speed. Where the velocity changes by too much for that to mean something (a start, a stop, a bounce), it is a
-    parabola, and so it is where the two are the same.
+    speed; else it is a parabola, see `turns_evenly`.
 
     Parameters
     ----------
@@ -73,14 +99,9 @@ def path_places(begin, end, before, after, time, place):
             t = np.float64(time[row, col])
             p = complex(before[row, col, 0], before[row, col, 1])
             n = complex(after[row, col, 0], after[row, col, 1])
-            z = 0.5 * t * (n + p) + 0.5 * t * t * (n - p)
-            if p != 0.0:
-                q = n / p
-                growth, turn = abs(q), math.atan2(q.imag, q.real)
-                even = 1.0 / MOST_GROWTH < growth < MOST_GROWTH and abs(turn) < MOST_TURN
-                if even and abs(q - 1.0) > LEAST_CHANGE:
-                    size, angle = growth**t, turn * t
-                    z = n * (complex(size * math.cos(angle), size * math.sin(angle)) - 1.0) / (q - 1.0)
+            z = on_parabola(p, n, t)
+            if turns_evenly(p, n):
+                z = n * (power(n / p, t) - 1.0) / (n / p - 1.0)
             place[row, col, 0], place[row, col, 1] = z.real, z.imag
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from spreadlets.arrays import FloatArray
 from spreadlets.errors import InvalidParameterError
 from spreadlets.psf.model import Heading, PsfModel
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.raster import Raster
 
@@ -129,6 +130,8 @@ class Labels(NamedTuple):
         The pixels' places in space.
     sweep : ndarray of shape (H, W, 2), float32, or None
         Of steps of the shutter's time, the motion over all of it, px; None if `path` is that.
+    trail : Trail or None
+        Of what is drawn at several places, these; they are counted from ``shift``.
     """
 
     coc: FloatArray
@@ -137,6 +140,7 @@ class Labels(NamedTuple):
     shift: FloatArray | None
     view: View
     sweep: FloatArray | None = None
+    trail: Trail | None = None
 
     @property
     def whole_path(self) -> FloatArray:

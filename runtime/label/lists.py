@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import NOTHING, BoolArray, Image, IntArray
 from spreadlets.runtime.label.labels import Labels, Places
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.scene.frame import Layer
 
 LIST_WIDTH = 1024
@@ -101,6 +102,12 @@ def _taken(values: npt.NDArray[_Number], index: IntArray) -> npt.NDArray[_Number
     return values.reshape(-1, *values.shape[2:])[index]
 
 
+def _joined_trails(labels: Sequence[Labels]) -> Trail | None:
+    if all(each.trail is None for each in labels):
+        return None
+    return Trail.joined([Trail.unmoved(each.coc.shape) if each.trail is None else each.trail for each in labels])
+
+
 def joined(lists: Sequence[Pixels], frame: Image) -> Pixels:
     """Return several lists as one, of a frame of colours (frame's H, W, 4)."""
     labels = [each.labels for each in lists]
@@ -115,6 +122,7 @@ def joined(lists: Sequence[Pixels], frame: Image) -> Pixels:
             np.concatenate([np.zeros_like(each.path) if each.shift is None else each.shift for each in labels]),
             labels[0].view._replace(depth=np.concatenate([each.view.depth for each in labels]), places=places),
             np.concatenate([each.whole_path for each in labels]),
+            _joined_trails(labels),
         ),
         np.concatenate([each.weight for each in lists]),
         frame,

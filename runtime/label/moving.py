@@ -19,7 +19,8 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label import _label_kernels
 from spreadlets.runtime.label.labels import Labels
-from spreadlets.runtime.label.lists import Pixels, listed
+from spreadlets.runtime.label.lists import Pixels, listed, rows_of
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 from spreadlets.scene.shutter import shutter_shares
@@ -85,6 +86,12 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
     moving = steps > 1
     once = pixels._replace(weight=np.where(moving, np.float32(0.0), weight))
     yield once if pixels.is_list else once._replace(curved=moving)
+    if not effects.swept and not _refocuses(layer, camera, effects):
+        chosen = np.flatnonzero(moving & (weight > 0))
+        if len(chosen):
+            part, some = listed(layer, pixels._replace(weight=weight), chosen)
+            yield _on_the_way(part, some, steps.ravel()[rows_of(chosen)], camera)
+        return
     for count in (2**power for power in range(1, largest.bit_length())):
         chosen = np.flatnonzero((steps == count) & (weight > 0))
         if len(chosen):
@@ -95,6 +102,21 @@ def in_time(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) ->
                     yield some._replace(labels=labels, weight=some.weight * share)
 
 
+def _on_the_way(layer: Layer, pixels: Pixels, count: npt.NDArray[np.int32], camera: ThinLens) -> Pixels:
+    """Return a list whose pixels are drawn at so many places, (H, W), of their ways."""
+    motion = layer.motion, layer.motion
+    if layer.motion_prev is not None and layer.motion_next is not None:
+        motion = layer.motion_prev, layer.motion_next
+    trail = Trail.of(count, motion, camera.shutter, camera.shutter_curve)
+    labels = pixels.labels._replace(shift=np.zeros_like(layer.motion), sweep=pixels.labels.whole_path, trail=trail)
+    return pixels._replace(labels=rolled(layer, labels, camera))
+
+
+def _refocuses(layer: Layer, camera: ThinLens, effects: Effects) -> bool:
+    """Tell whether the blur of what is in the frame may change while the shutter is open."""
+    return effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
+
+
 def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effects) -> npt.NDArray[np.int32] | None:
     """Return the number of steps of each pixel, a power of 2, or None if nothing asks for any."""
     if not camera.shutter_duration:
@@ -102,7 +124,7 @@ def _count_steps(layer: Layer, pixels: Pixels, camera: ThinLens, effects: Effect
     # Find what changes at all.
     moves = effects.motion and layer.has_motion
     bends = moves and layer.motion_prev is not None and layer.motion_next is not None
-    refocuses = effects.defocus and (layer.depth_prev is not None or bool(camera.keys))
+    refocuses = _refocuses(layer, camera, effects)
     unevenly = moves and camera.shutter_curve is not None
     if not (bends or refocuses or unevenly or (moves and not effects.swept)):
         return None

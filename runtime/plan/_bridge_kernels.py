@@ -13,11 +13,11 @@ LONGEST = 16
 """Cells from a hidden one to either side, at most."""
 BESIDE = 3
 """Cells to either side of a line across the gap whose ends are compared, too."""
-LEAST_COMPARED = 4
+LEAST_COMPARED = 6
 """Of these, how many must be comparable."""
 LENGTH_PRICE = 1e-4
 """What a cell of a line's length counts beside mean squared relative differences: of alike lines, the shortest."""
-LEAST_COVERED = 0.6
+LEAST_COVERED = 0.9
 """Share of a cell that the layer must cover to be compared: what ends there, as leaves do, goes on nowhere."""
 
 

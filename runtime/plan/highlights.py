@@ -11,8 +11,7 @@ together they still cover all.
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -33,7 +32,7 @@ from spreadlets.runtime.plan import _highlight_kernels
 from spreadlets.runtime.plan._highlight_kernels import HEADING_BITS, HEADING_ZERO, NOT_ALONE, CodedLabels, CodeSteps
 from spreadlets.runtime.plan._plan_kernels import INVISIBLE, SHARP
 from spreadlets.runtime.plan.layering import Membership
-from spreadlets.runtime.splat.passes import PointTable, SplatPass
+from spreadlets.runtime.plan.pool import PlacedPixels, place_pixels
 
 HALF_WIDTHS = 3, 15
 """Of the group of pixels that a highlight may be, and of its surroundings, px."""
@@ -81,40 +80,38 @@ class Highlights(NamedTuple):
         found = zip(pixel_sets, self.places, self.lights, strict=False)
         return [_dimmed(pixels, at[chosen]) for pixels, at, chosen in found]
 
-    def splats(
-        self,
-        pixel_sets: Sequence[Pixels],
-        members: Sequence[Membership],
-        table: PointTable,
-        first_variant: int,
-        wide: npt.NDArray[np.bool_],
-    ) -> list[SplatPass]:
-        """Return the pass that draws the colours of highlights, but for lights, without alpha; none if there are none.
+    def placed(
+        self, pixel_sets: Sequence[Pixels], members: Sequence[Membership], first_variant: int, wide: BoolArray
+    ) -> Iterator[PlacedPixels]:
+        """Yield the colours of highlights but for lights, without alpha, as lists of pixels to be pooled.
 
         Parameters
         ----------
         pixel_sets : sequence of Pixels
         members : sequence of Membership
             The layers of their pixels.
-        table : PointTable
-            Of all variants; the PSFs of highlights are those from ``first_variant`` on.
         first_variant : int
+            Of all variants, the PSFs of highlights are those from this one on.
         wide : ndarray of shape (n_variants,), bool
             Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
         """
-        lights = [
-            _Lights.of(pixels, member, at[~chosen], number[~chosen] + np.int32(first_variant))
-            for pixels, member, at, number, chosen in zip(
-                pixel_sets, members, self.places, self.number, self.lights, strict=True
-            )
-            if not chosen.all()
-        ]
-        if not lights:
-            return []
-        shape = pixel_sets[0].labels.view.frame_shape
-        parts = [part for each in lights for part in each.placed(wide).in_layers(table.n_variants)]
-        joined = _Lights(*map(np.concatenate, zip(*parts, strict=True)))
-        return [joined.reaching(shape, table).as_pass()]
+        given = zip(pixel_sets, members, self.places, self.number, self.lights, strict=True)
+        for pixels, member, found, numbers, lights in given:
+            chosen, number = found[~lights], numbers[~lights]
+            at = np.unravel_index(chosen, member.layer.shape)
+            places, shift, trail = pixels.labels.view.places, pixels.labels.shift, pixels.labels.trail
+            at_frame = (np.stack(at, axis=1).astype(np.int32) if places is None else places.at[at])[None]
+            shift = np.zeros((1, len(chosen), 2), np.float32) if shift is None else shift[at][None]
+            radiance = pixels.radiance[at][None]
+            radiance[..., 3] = 0.0
+            # Draw the parts in the nearer and the farther layers.
+            for part, share in enumerate((1.0 - member.farther[at], member.farther[at])):
+                label = (member.layer[at] + np.int32(part)) * np.int32(len(wide)) + np.int32(first_variant) + number
+                label = np.where(share > 0.0, label, np.int32(-1))[None]
+                weight = (share * pixels.weight[at] if len(pixels.weight) else share)[None]
+                if (label >= 0).any():
+                    own = None if trail is None else trail.of_pixels(at)
+                    yield place_pixels(radiance, weight, label, shift, at_frame, wide, NOTHING, own)
 
 
 def find_highlights(
@@ -173,69 +170,6 @@ def _dimmed(pixels: Pixels, highlights: IntArray) -> Pixels:
     radiance = copied(pixels.radiance)
     radiance.reshape(-1, 4)[highlights, :3] = 0.0
     return pixels._replace(radiance=radiance)
-
-
-class _Lights(NamedTuple):
-    """Pixels as a list: colours (n, 4); labels (n,); nearer layers and shares of the farther ones; places (n, 2)."""
-
-    radiance: Image
-    label: npt.NDArray[np.int32]
-    layer: npt.NDArray[np.int32]
-    farther: FloatArray
-    place: FloatArray
-    """Row and column in the frame, px."""
-
-    @classmethod
-    def of(cls, pixels: Pixels, members: Membership, chosen: IntArray, label: npt.NDArray[np.int32]) -> _Lights:
-        """List pixels of a pass by their numbers in raster order, with their labels."""
-        at = np.unravel_index(chosen, members.layer.shape)
-        weight = pixels.weight[at][:, None] if len(pixels.weight) else np.float32(1.0)
-        places = pixels.labels.view.places
-        place = (np.stack(at, axis=1) if places is None else places.at[at]).astype(np.float32)
-        if pixels.labels.shift is not None:
-            place += pixels.labels.shift[at][:, ::-1]
-        radiance = pixels.radiance[at] * weight
-        radiance[:, 3] = 0.0
-        return cls(radiance, label, members.layer[at], members.farther[at], place)
-
-    def placed(self, wide: npt.NDArray[np.bool_]) -> _Lights:
-        """Split what lies between pixels, bilinearly; wide variants are moved to the next pixel."""
-        place = np.where(wide[self.label, None], np.rint(self.place), self.place)
-        first = np.floor(place)
-        share = place - first
-        if not share.any():
-            return self._replace(place=first)
-        corners = []
-        for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            weight = np.prod(np.where(corner, share, 1.0 - share), axis=1, keepdims=True).astype(np.float32)
-            corners.append(self._replace(radiance=self.radiance * weight, place=first + np.array(corner, np.float32)))
-        return _Lights(*map(np.concatenate, zip(*corners, strict=True)))
-
-    def in_layers(self, n_variants: int) -> list[_Lights]:
-        """Return the parts in the nearer and the farther layers, their labels those of layers and variants."""
-        parts = []
-        for part, share in enumerate((1.0 - self.farther, self.farther)):
-            label = (self.layer + np.int32(part)) * np.int32(n_variants) + self.label
-            each = self._replace(radiance=self.radiance * share[:, None], label=label)
-            parts.append(each.only(share > 0.0))
-        return parts
-
-    def only(self, kept: BoolArray) -> _Lights:
-        """Return some of the pixels."""
-        return _Lights(*map(operator.itemgetter(kept), self))
-
-    def reaching(self, shape: tuple[int, ...], table: PointTable) -> _Lights:
-        """Return those that have light and reach into a frame (H, W)."""
-        reach = table.reaches[self.label % table.n_variants]
-        beyond = np.maximum(-self.place, self.place - np.array(shape) + 1.0).max(axis=1)
-        kept = (beyond <= reach) & self.radiance.any(axis=1)
-        return self.only(kept)
-
-    def as_pass(self) -> SplatPass:
-        """Return a pass of one row."""
-        shift = self.place.astype(np.int32)
-        shift[:, 1] -= np.arange(len(shift), dtype=np.int32)
-        return SplatPass((0, 0), np.ascontiguousarray(self.radiance[None]), self.label[None], shift[None])
 
 
 class _Light(NamedTuple):

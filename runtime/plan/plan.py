@@ -370,7 +370,8 @@ def _lay_out(
     splats = list(_splat_passes(parts, shape, table, n_layers, wide))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
-    own = highlights.splats(pixel_sets, members, table, chosen.n_variants, wide)
+    placed = list(highlights.placed(pixel_sets, members, chosen.n_variants, wide))
+    own = pool(placed, shape, table.reaches, n_layers)
     variation = np.tile(chosen.variation, n_layers)
     coarse = float(coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group]).max(initial=0.0))
     merged = [merge_blocks(each, variation, tolerance - coarse) for each in splats]
@@ -591,7 +592,8 @@ def _splat_passes(
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at
-            shifted.append(place_pixels(pixels.radiance, weight, label, pixels.labels.shift, at, wide, limit))
+            own = pixels.labels.shift, at, wide, limit, pixels.labels.trail
+            shifted.append(place_pixels(pixels.radiance, weight, label, *own))
     yield from pool(shifted, shape, table.reaches, n_layers)
 
 

@@ -9,7 +9,7 @@ splatting is linear; and neighbours with one PSF become runs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,9 @@ import numpy.typing as npt
 from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands, for_blocks, for_each
 from spreadlets.runtime.label.labels import NO_SHIFT
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.runtime.plan import _pool_kernels
-from spreadlets.runtime.plan._pool_kernels import Sides, Stepped, Sums
+from spreadlets.runtime.plan._pool_kernels import Sides, Stepped, Sums, Way
 from spreadlets.runtime.splat.passes import SplatPass
 
 CHUNKS = 16
@@ -32,30 +33,23 @@ SLOTS_PER_SUM = 4
 MOST_SPLATS = 1 << 25
 """Splats that are pooled at a time: some 2 GiB, if no two agree."""
 
+NO_WAY = Way(np.zeros((0, 0, 2), np.float32), np.zeros((0, 0, 2), np.float32), (0.0, 0.0))
+"""The way of pixels that are drawn once."""
+
 
 class PlacedPixels(NamedTuple):
     """Pixels, or one sample of each, in one of their layers, and where their splats lie.
 
     Attributes
     ----------
-    radiance : ndarray of shape (H, W, 4), float32
-    weight : ndarray of shape (H, W), float32
-    label : ndarray of shape (H, W), int32
-        ``layer * n_variants + variant``, negative where there is none.
-    steps : ndarray of shape (H, W, 2), int32
-        Displacement (row, col) of the splat's centre from the pixel, in 1/16 px.
-    at : ndarray of shape (H, W, 2), int32
-        Row and column in the frame of the pixels of a list; empty for all pixels of a frame.
+    pixels : Stepped
+        Their labels are ``layer * n_variants + variant``, negative where nothing is drawn.
     limit : ndarray of shape (h, w), float32
         How bright they may be where they are repeated beyond the border, see `runtime.plan.border.border_limit`; empty
         if they are not.
     """
 
-    radiance: Image
-    weight: Image
-    label: npt.NDArray[np.int32]
-    steps: npt.NDArray[np.int32]
-    at: npt.NDArray[np.int32]
+    pixels: Stepped
     limit: Image
 
 
@@ -67,6 +61,7 @@ def place_pixels(
     at: npt.NDArray[np.int32] | None,
     wide: npt.NDArray[np.bool_],
     limit: Image,
+    trail: Trail | None = None,
 ) -> PlacedPixels:
     """Return pixels with their places.
 
@@ -82,11 +77,17 @@ def place_pixels(
         Row and column in the frame of the pixels of a list.
     wide : ndarray of shape (n_variants,), bool
         Variants whose centres are moved to the next pixel.
+    trail : Trail, optional
+        The places of pixels that are drawn at several, counted from ``shift``.
     """
-    steps = np.empty(shift.shape, np.int32)
-    for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, steps)
+    first, share, way, n_steps = np.zeros(0, np.int64), np.zeros(0, np.float32), NO_WAY, label.size
+    if trail is not None:
+        first = np.concatenate([[0], np.cumsum(np.where(label >= 0, trail.n_places, 0))])
+        share, way, n_steps = trail.share, Way(trail.before, trail.after, trail.shutter), int(first[-1])
+    steps = np.empty((n_steps, 2), np.int32)
+    for_bands(_pool_kernels.place_steps, len(label), shift, label, wide, way, first, steps)
     weight = weight if len(weight) else np.ones(label.shape, np.float32)
-    return PlacedPixels(radiance, weight, label, steps, NO_SHIFT if at is None else at, limit)
+    return PlacedPixels(Stepped(radiance, weight, label, steps, first, share, NO_SHIFT if at is None else at), limit)
 
 
 def pool(
@@ -141,11 +142,11 @@ class _Set(NamedTuple):
     n_splats: int
 
     @classmethod
-    def of(cls, pixels: PlacedPixels, image: _Image) -> _Set:
+    def of(cls, placed: PlacedPixels, image: _Image) -> _Set:
         """Count the splats of pixels."""
-        padding = _padding(pixels, image.shape, image.reaches) if len(pixels.limit) else Sides(0, 0, 0, 0)
+        padding = _padding(placed.pixels, image.shape, image.reaches) if len(placed.limit) else Sides(0, 0, 0, 0)
         counts, nothing = np.zeros((CHUNKS, image.n_blocks), np.int64), np.zeros(0, np.int32)
-        unlisted = cls(Stepped(*pixels[:5]), pixels.limit, padding, counts, 0)
+        unlisted = cls(placed.pixels, placed.limit, padding, counts, 0)
         return unlisted._replace(n_splats=unlisted._list(image, counts, nothing))
 
     def listed(self, image: _Image) -> list[npt.NDArray[np.int32]]:
@@ -165,17 +166,22 @@ class _Set(NamedTuple):
         return int(n_splats.sum())
 
 
-def _padding(pixels: PlacedPixels, shape: tuple[int, int], reaches: npt.NDArray[np.int64]) -> Sides:
+def _padding(pixels: Stepped, shape: tuple[int, int], reaches: npt.NDArray[np.int64]) -> Sides:
     """Return how far beyond each side a pixel like those on the border reaches back into the frame."""
-    found = []
+    found, (height, width) = [], pixels.label.shape
+    label, own = pixels.label.ravel(), pixels.first if len(pixels.first) else np.arange(pixels.label.size + 1)
     for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
         border = 0 if sign > 0 else shape[axis] - 1
-        edge: Any = [slice(None)] * 2
-        edge[axis] = border
-        edge = pixels.at[..., axis] == border if len(pixels.at) else tuple(edge)
-        label, steps = pixels.label[edge], pixels.steps[edge][..., axis]
-        towards = sign * (steps[label >= 0] // _pool_kernels.STEPS_PER_PIXEL) + 1
-        found.append(int((reaches[label[label >= 0] % len(reaches)] + towards).max(initial=0)))
+        if len(pixels.at):
+            edge = np.flatnonzero(pixels.at[..., axis] == border)
+        else:
+            edge = np.arange(width) + border * width if axis == 0 else np.arange(height) * width + border
+        edge = edge[label[edge] >= 0]
+        # Take all of their steps.
+        count = own[edge + 1] - own[edge]
+        steps = np.repeat(own[edge] - np.cumsum(count) + count, count) + np.arange(count.sum())
+        towards = sign * (pixels.steps[steps, axis] // _pool_kernels.STEPS_PER_PIXEL) + 1
+        found.append(int((np.repeat(reaches[label[edge] % len(reaches)], count) + towards).max(initial=0)))
     return Sides(*found)
 
 
@@ -190,13 +196,13 @@ def _pooled(sets: Sequence[_Set], image: _Image) -> SplatPass:
         sums, begin = _room(LEAST_SUMS, n_cols), BLOCK_ROWS * block - image.far
         for each, numbers in zip(sets, listed, strict=True):
             given = each.pixels, (image.shape, each.padding), each.limit, image.reaches
-            sizes, place = (image.n_labels, -image.far, n_cols), 0
-            while place < len(numbers[block]):
+            sizes, place = (image.n_labels, -image.far, n_cols), (0, 0)
+            while place[0] < len(numbers[block]):
                 place, n_sums = _pool_kernels.add_splats(
                     begin, begin + BLOCK_ROWS, numbers[block], place, *given, sizes, sums
                 )
                 sums = sums._replace(n_sums=n_sums)
-                if place < len(numbers[block]):
+                if place[0] < len(numbers[block]):
                     sums = _room(2 * len(sums.key), n_cols, sums)
         order = np.argsort(sums.key[: sums.n_sums])
         # Rows are counted from the first in which there may be splats.

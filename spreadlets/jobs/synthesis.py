@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from spreadlets.errors import InvalidParameterError, option
+from spreadlets.errors import InvalidParameterError, SpreadletsError, option
 from spreadlets.files.images import OPENEXR, image_extension
 from spreadlets.files.sequence import is_pattern, numbered
 from spreadlets.jobs.job import Job, PathChange, Progress, compared
@@ -66,6 +66,8 @@ class Synthesis(Job):
         other carries the picture along. Of a sequence they are found by their numbers.
     time_code : float or None
         Of an animated camera in a USD file, the frame's number.
+    of_sequence : bool
+        Whether the frames in `hidden_from` were found by their numbers: one that cannot be used is then left out.
     """
 
     reading: Mapping[str, Any] = field(default_factory=dict)
@@ -76,6 +78,7 @@ class Synthesis(Job):
     hidden_from: Sequence[tuple[str, Mapping[str, Any]]] = ()
     cameras_around: Sequence[tuple[float, str]] = ()
     time_code: float | None = None
+    of_sequence: bool = False
 
     @property
     def others(self) -> list[str]:
@@ -118,7 +121,8 @@ class Synthesis(Job):
         pattern = self.camera or self.inputs[0]
         cameras = [(float(step), numbered(pattern, number + step)) for step in (-1, 1)] if is_pattern(pattern) else []
         cameras = [(time, path) for time, path in cameras if os.path.exists(path)]
-        return replace(super().numbered(number), hidden_from=there, cameras_around=cameras, time_code=float(number))
+        job = super().numbered(number)
+        return replace(job, hidden_from=there, cameras_around=cameras, time_code=float(number), of_sequence=True)
 
     def check(self) -> None:
         """Raise an error, before anything is computed, if files or options do not fit each other."""
@@ -191,8 +195,24 @@ class Synthesis(Job):
             if self.pass_through:
                 channels = other_channels(files, frame.raster, options.colour_layer, options.view)
         truth = read_reference(self.reference, options) if self.reference else None
-        neighbours = [self._coloured([path], ReadOptions(**each, camera=camera)) for path, each in self.hidden_from]
-        return _Given(frame, elements, camera, truth, channels, neighbours)
+        around = [self._neighbour(path, ReadOptions(**each, camera=camera), frame) for path, each in self.hidden_from]
+        return _Given(frame, elements, camera, truth, channels, [each for each in around if each is not None])
+
+    def _neighbour(self, path: str, options: ReadOptions, frame: Frame) -> tuple[Frame, dict[str, Frame]] | None:
+        """Read a frame to take what is hidden from; of a sequence, None if it is not fit for that."""
+        from spreadlets.renderer import check_neighbours
+
+        try:
+            found = self._coloured([path], options)
+            if len(frame.layers) == 1:
+                check_neighbours([found[0]], frame)
+        except SpreadletsError as error:
+            # It is this frame's own error when its turn comes.
+            if not self.of_sequence:
+                raise
+            warnings.warn(f"what is hidden is not taken from {path}: {error}", stacklevel=2)
+            return None
+        return found
 
     def _coloured(self, paths: Sequence[Source], options: ReadOptions) -> tuple[Frame, dict[str, Frame]]:
         """Read a frame, and its further colour layers."""

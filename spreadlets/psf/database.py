@@ -65,7 +65,7 @@ ANGLE_TOLERANCE = 1e-9
 class Database:
     """An open database; only the small index tables are read on opening, points cell by cell.
 
-    Use `open_database`; close it, or use it as a context manager.
+    Use `open_database`; close it, or use it as a context manager. A pickled one is opened anew from its path.
 
     Attributes
     ----------
@@ -258,6 +258,10 @@ class Database:
             "parameters": self.provenance.get("parameters"),
             "axes": [vars(axis) for axis in self.grid.model.axes],
         }
+
+    def __reduce__(self) -> tuple[Callable[[Path], Database], tuple[Path]]:
+        """Let other processes open the same file."""
+        return open_database, (self.path.absolute(),)
 
     def close(self) -> None:
         """Close the file; spreadlets already read stay valid."""

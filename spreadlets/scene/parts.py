@@ -190,6 +190,18 @@ def seen_depth(frame: Frame) -> FloatArray:
     return depth
 
 
+def pixel_under(raster: Raster, x: float, y: float) -> tuple[int, int]:
+    """Return row and column, in arrays, of the pixel under a point; parameters and errors as of `depth_at`."""
+    left, top, width, height = raster.data
+    finite = math.isfinite(x) and math.isfinite(y)
+    col, row = (round(x) - left, round(y) - top) if finite else (-1, -1)
+    if not (0 <= col < width and 0 <= row < height):
+        raise InvalidParameterError(
+            f"the point {x:g},{y:g} lies outside the frame's {width} x {height} px at {left},{top}"
+        )
+    return row, col
+
+
 def depth_at(depth: FloatArray, raster: Raster, x: float, y: float) -> float:
     """Return the depth of the surface under a point: the median of the pixels around it that belong to that surface.
 
@@ -207,13 +219,7 @@ def depth_at(depth: FloatArray, raster: Raster, x: float, y: float) -> float:
     InvalidParameterError
         If there is no pixel there.
     """
-    left, top, width, height = raster.data
-    finite = math.isfinite(x) and math.isfinite(y)
-    col, row = (round(x) - left, round(y) - top) if finite else (-1, -1)
-    if not (0 <= col < width and 0 <= row < height):
-        raise InvalidParameterError(
-            f"the point {x:g},{y:g} lies outside the frame's {width} x {height} px at {left},{top}"
-        )
+    row, col = pixel_under(raster, x, y)
     around = depth[max(row - AROUND, 0) : row + AROUND + 1, max(col - AROUND, 0) : col + AROUND + 1]
     own = depth[row, col]
     if not np.isfinite(own):

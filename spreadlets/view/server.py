@@ -320,7 +320,7 @@ class Server:
     def _probe(self, message: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
         """Return what is known of a pixel."""
         x, y = self._place(message)
-        raster, layer = self.studio.scene.frame.raster, self.studio.scene.frame.layers[0]
+        raster = self.studio.scene.frame.raster
         row, col = int(y) - raster.data.top, int(x) - raster.data.left
         depth = float(self.studio.plain.depth[row, col])
         image = worker.full[1] if worker.full is not None else None
@@ -334,7 +334,7 @@ class Server:
             "y": int(y),
             "depth": depth if depth < 1e30 else None,
             "coc": coc,
-            "motion": [float(each) for each in layer.motion[row, col]],
+            "motion": self.studio.plain.motion_at(camera, int(x), int(y)),
             "colour": None if image is None else [float(each) for each in image[row, col, :3]],
         }
 

@@ -8,6 +8,7 @@ import pytest
 
 import spreadlets as sp
 from spreadlets.errors import InvalidFrameError, InvalidParameterError
+from spreadlets.scene.raster import Raster, Window
 
 CAMERA = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=1.2, focus_distance_m=2.0)
 SHAPE = (96, 128)
@@ -264,3 +265,24 @@ def test_pairs_may_be_lists(renderer):
         renderer.render(CAMERA, in_focus=[2.0, 4.0], highlights=[3.0, 0.5], region=[3, 4, 20, 10]),
         renderer.render(CAMERA, in_focus=(2.0, 4.0), highlights=(3.0, 0.5), region=(3, 4, 20, 10)),
     )
+
+
+ZOOM = (sp.LensKey(-0.25, focal_length_mm=78.0), sp.LensKey(0.25, focal_length_mm=82.0))
+
+
+@pytest.mark.parametrize("aspect", [1.0, 2.0])
+def test_the_motion_under_a_point_is_what_is_drawn(frame, aspect):
+    """That of the frame's vectors; in a frame without any, in its own pixels, that of the camera's zoom or move."""
+    camera = replace(CAMERA, keys=ZOOM)
+    raster = Raster(Window(-8, 4, 128, 96), Window(-16, 0, 160, 104), aspect)
+    layer = replace(frame.layers[0], raster=raster)
+    still = sp.Frame.of([layer])
+    with sp.Renderer(still, "combined") as renderer:
+        # A zoom of 4 in 80 mm within half a frame moves what is seen away from the middle at (63.5, 51.5).
+        assert renderer.motion_at(camera, -8, 4) == pytest.approx((-71.5 / 10, -47.5 / 10), rel=2e-2)
+        assert renderer.motion_at(CAMERA, -8, 4) == (0.0, 0.0)
+        with pytest.raises(InvalidParameterError, match="the point 120,4 lies outside"):
+            renderer.motion_at(camera, 120, 4)
+    moving = sp.Frame.of([replace(layer, motion=np.full((*SHAPE, 2), 3.0, np.float32), has_motion=True)])
+    with sp.Renderer(moving, "combined") as renderer:
+        assert renderer.motion_at(camera, -8, 4) == (3.0, 3.0)

@@ -37,7 +37,7 @@ def linear(display):
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
 
 
-def drawn(light, radius, offset=0.0, n=24):
+def drawn(light, radius, offset=0.0, n=12):
     """Resample an image to a radius by brute force: many look-ups in every pixel; (H, W, 3), unit mean sum."""
     half = int(np.ceil(radius * (1.1 + offset))) + 1
     fine = (np.arange((2 * half + 1) * n) + 0.5) / n - half - 0.5

@@ -83,6 +83,20 @@ def test_points_that_carry_the_moments_by_luck_stay_where_they_are():
     np.testing.assert_array_equal(found, np.sort(circle))
 
 
+def test_where_rounding_leaves_less_than_no_error_no_move_may_raise_it():
+    equations, near, index = start(n_points=60)
+    exact = equations.__class__(
+        equations.gram,
+        equations.rhs,
+        equations.constant - error_of(equations, index) - 1e-9,
+        equations.basis,
+        equations.fixed,
+    )
+    # Moves that lower it are taken; any other would be, one after the other, with a chance beyond all numbers.
+    found = anneal_fitted(exact, near, index, np.random.default_rng(0), 20)
+    assert error_of(equations, found) < error_of(equations, index)
+
+
 def test_neighbours_are_the_orbits_around_a_pixel():
     offset = np.argwhere(np.ones((5, 5))) - 2
     members, _ = orbits(offset, (IDENTITY,))

@@ -118,3 +118,28 @@ def test_depths_of_other_frames_come_together_and_are_distances():
         plane(depth_prev=ones)
     with pytest.raises(sp.errors.InvalidFrameError, match="depth_prev is not a distance"):
         plane(depth_prev=-ones, depth_next=ones)
+
+
+@pytest.mark.parametrize("bends", [False, True])
+def test_what_is_not_swept_is_listed_once_with_places_along_its_way(bends):
+    """Each pixel is drawn amid equal steps of the shutter's time, with the share of the light that it has open then."""
+    motion = np.zeros((SIZE, SIZE, 2), np.float32)
+    motion[:, 40:], motion[:, :8] = [24.0, 12.0], [3.0, 0.0]
+    curve = {"motion_prev": motion, "motion_next": motion[..., ::-1] * np.float32([1, -1])} if bends else {}
+    frame, camera = plane(3.2, motion=motion, **curve), lens(shutter_curve=(0.0, 1.0), readout_frames=0.5)
+    base, moving = frame_pixels(frame.layers[0], camera, defocus=True, motion=True, swept=False)
+    assert (base.weight == 0).sum() == 40 * SIZE and (moving.weight == 1).sum() == 40 * SIZE
+    labels = moving.labels
+    n_places = labels.trail.n_places
+    # Two lengths of ways, each in steps of at most a pixel or a tenth of its radius.
+    assert len(np.unique(n_places[moving.weight > 0])) == 2
+    step = max(1.0, 0.1 * abs(float(camera.coc_radius(3.2, SIZE))))
+    assert 0.5 * np.hypot(24.0, 12.0) / step <= n_places.max() < np.hypot(24.0, 12.0) / step
+    # A list begins where its rows are read out, and its places add up to the pixel.
+    rows = labels.view.places.at[..., 0]
+    later = 0.5 * (rows / (SIZE - 1) - 0.5)
+    at = labels.view.places.at
+    assert labels.shift == pytest.approx(motion[at[..., 0], at[..., 1]] * later[..., None], abs=1e-5)
+    for n in np.unique(n_places):
+        shares = labels.trail.share[n * (n - 1) // 2 :][:n]
+        assert shares == pytest.approx(shutter_shares(camera.shutter_curve, n))

@@ -3,8 +3,11 @@ import pytest
 from threads import for_thread_counts
 
 from spreadlets.arrays import NOTHING
+from spreadlets.runtime.label.moving import curved_places
+from spreadlets.runtime.label.trail import Trail
 from spreadlets.runtime.plan import pool as pooling
 from spreadlets.runtime.plan.pool import place_pixels, pool
+from spreadlets.scene.shutter import shutter_shares
 
 H, W, N_VARIANTS, N_LAYERS = 6, 9, 3, 2
 REACHES = np.array([0, 3, 7])
@@ -156,3 +159,29 @@ def test_a_list_of_pixels_is_drawn_as_the_frame_s_pixels_are(border):
     assert found.keys() == wanted.keys()
     for key, colour in wanted.items():
         np.testing.assert_allclose(found[key], colour, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("border", [False, True])
+def test_a_pixel_with_several_places_is_drawn_as_so_many_pixels(border, monkeypatch):
+    """On straight ways, on arcs and on parabolas; also where there is no more room after some of a pixel's places."""
+    monkeypatch.setattr(pooling, "LEAST_SUMS", 1)
+    rng = np.random.default_rng(11)
+    radiance, weight, label, shift, limit = make_samples(rng, border=border, spread=1.0)
+    n_places = rng.integers(1, 6, (H, W)).astype(np.int32)
+    before = rng.normal(0, 4, (H, W, 2)).astype(np.float32)
+    after = (before @ np.array([[0.8, 0.4], [-0.4, 0.8]])).astype(np.float32)
+    after[:2], after[2:4] = before[:2], -before[2:4]
+    trail = Trail.of(n_places, (before, after), (-0.25, 0.5), (0.0, 1.0))
+    placed = [place_pixels(radiance, weight, label, shift, None, WIDE, limit, trail)]
+    found = as_dict(pool(placed, (H, W), REACHES, N_LAYERS))
+    samples = []
+    for n in range(1, 6):
+        for k, share in enumerate(shutter_shares((0.0, 1.0), n)):
+            time = np.full((H, W), -0.25 + 0.75 * (k + 0.5) / n, np.float32)
+            own = np.where(n_places == n, label, -1).astype(np.int32)
+            places = shift + curved_places(before, after, time)
+            samples.append((radiance, (weight * share).astype(np.float32), own, places, limit))
+    expected = naive(samples)
+    assert found.keys() == expected.keys()
+    assert all(found[key] == pytest.approx(expected[key], rel=1e-4, abs=1e-6) for key in found)

@@ -1,6 +1,7 @@
 """The command line as scripts call it: JSON on standard output, one line for an error, nothing half-written."""
 
 import json
+import shutil
 from pathlib import Path
 
 import h5py
@@ -571,6 +572,31 @@ def test_what_is_hidden_comes_from_other_frames(run, posts, small_combined_path)
     behind = exr.read_image(posts / "behind.exr")
     error = [np.abs(each - behind)[6:-6, 16:21, :3].mean() for each in (guessed, known)]
     assert error[1] < 0.8 * error[0]
+
+
+@pytest.mark.parametrize("broken", ["cut off", "of another size"])
+def test_a_frame_that_cannot_be_used_fails_none_of_its_neighbours(run, posts, small_combined_path, broken):
+    """Each takes what is hidden from the other side alone, and says so."""
+    pattern, common = posts / "shot.####.exr", ("--camera", posts / "camera.json", "--db", small_combined_path)
+    for number in (4, 5):
+        shutil.copy(posts / "shot.0001.exr", posts / f"shot.{number:04d}.exr")
+    bad = posts / "shot.0003.exr"
+    if broken == "cut off":
+        bad.write_bytes(bad.read_bytes()[:400])
+    else:
+        exr.write_frame(bad, Frame(np.ones((24, 32, 3)), np.full((24, 32), 4.0)))
+    status, _, err = run("synth", pattern, "-o", posts / "out.####.exr", *common, "--hidden-from", pattern)
+    made = {1, 2, 4, 5} if broken == "cut off" else {1, 2, 3, 4, 5}
+    assert {n for n in range(1, 6) if (posts / f"out.{n:04d}.exr").exists()} == made
+    assert status == (1 if broken == "cut off" else 0)
+    for number in (2, 4):
+        assert f"frame {number}: what is hidden is not taken from {bad}: " in err
+    assert err.count("what is hidden is not taken from") == (2 if broken == "cut off" else 4)
+    # The same by hand; and there the bad frame is an error.
+    frame, other = posts / "shot.0002.exr", posts / "shot.0001.exr"
+    assert run("synth", frame, "-o", posts / "by_hand.exr", *common, "--hidden-from", other)[0] == 0
+    assert np.array_equal(exr.read_image(posts / "by_hand.exr"), exr.read_image(posts / "out.0002.exr"))
+    assert run("synth", frame, "-o", posts / "no.exr", *common, "--hidden-from", bad)[0] == 2
 
 
 def test_a_sequence_takes_what_is_hidden_from_a_sequence(run, posts):

@@ -1,4 +1,5 @@
 import os
+import pickle
 import shutil
 import zlib
 
@@ -371,3 +372,16 @@ def test_what_ships_stays_open_until_its_file_changes(monkeypatch, tmp_path, sma
 
 def test_a_file_of_ones_own_is_not_kept_open(small_combined_path):
     assert shared_database(small_combined_path) is None
+
+
+def test_a_pickled_database_is_opened_anew_from_wherever_one_is(tmp_path, grid, monkeypatch):
+    write_database(tmp_path / "own.h5", grid, make_cells(grid), {})
+    monkeypatch.chdir(tmp_path)
+    with open_database("own.h5") as opened:
+        pickled, cell = pickle.dumps(opened), opened.cell(3)
+    monkeypatch.chdir("/")
+    with pickle.loads(pickled) as again:
+        assert again.cell(3).value.tobytes() == cell.value.tobytes()
+    (tmp_path / "own.h5").unlink()
+    with pytest.raises(InvalidDatabaseError, match=r"own\.h5"):
+        pickle.loads(pickled)

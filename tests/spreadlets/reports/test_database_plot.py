@@ -37,7 +37,7 @@ def images(figure, row):
     return [axes.images[0].get_array() for axes in figure.get_axes() if axes.images][row::ROWS_OF_IMAGES]
 
 
-def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, drawn):
+def test_the_picture_has_all_its_panels_and_they_show_every_spreadlet(small_combined, tmp_path, drawn):
     plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
     assert len(drawn[0].get_axes()) == STATISTICS_PANELS + ROWS_OF_IMAGES * plot.N_WORST
     pixels = imread(tmp_path / "quality.png")[..., :3]
@@ -46,6 +46,7 @@ def test_the_picture_is_written_with_all_its_panels(small_combined, tmp_path, dr
     # Text alone covers about a hundredth.
     assert (upper != 255).any(axis=2).mean() > 0.05 and (lower != 255).any(axis=2).mean() > 0.05
     assert [path.name for path in tmp_path.iterdir()] == ["quality.png"]
+    assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
 
 
 def counts(figure):
@@ -53,11 +54,6 @@ def counts(figure):
     sparsity, similarity, scatter = figure.get_axes()[:STATISTICS_PANELS]
     bars = [sum(bar.get_height() for bar in axes.patches) for axes in (sparsity, similarity)]
     return [*bars, sum(len(line.get_xdata()) for line in scatter.lines)]
-
-
-def test_histograms_and_scatter_show_every_spreadlet(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
-    assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
 
 
 def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn):

@@ -6,17 +6,19 @@ import time
 import urllib.error
 import urllib.request
 import zipfile
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
 import pytest
 from view_page import DEADLINE_S, ask, full, live, receive
-from view_scene import CAMERA, DEPTHS
+from view_scene import CAMERA, DEPTHS, SHAPE
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 import spreadlets as sp
 from spreadlets.errors import InvalidParameterError
 from spreadlets.view.server import Server
+from spreadlets.view.session import Scene, Studio
 
 
 def fetch(server, path="/", token=None, data=None, headers=None):
@@ -247,3 +249,15 @@ def test_closing_the_page_leaves_no_thread_even_amid_a_rendering(server):
 def test_a_port_that_is_taken_is_an_error(server, studio):
     with pytest.raises(InvalidParameterError, match=f"port {server.port} cannot be used"):
         Server(studio, server.port)
+
+
+def test_a_probe_tells_the_motion_that_a_camera_alone_makes(server, frame):
+    layer = replace(frame.layers[0], motion=np.zeros((*SHAPE, 2), np.float32), has_motion=False)
+    poses = np.eye(4), np.eye(4)
+    poses[1][0, 3] = 0.1  # m to the right, in half a frame
+    keys = [sp.LensKey(time, camera_to_world=pose) for time, pose in zip((0.0, 0.5), poses, strict=True)]
+    server.studio = Studio(Scene(sp.Frame.of([layer]), replace(CAMERA, keys=tuple(keys)), "combined"))
+    with live(server) as page:
+        page.send(json.dumps({"type": "probe", "x": 64, "y": 30, "settings": {}}))
+        message, _ = receive(page, "probe")
+    assert message["motion"] == pytest.approx([-0.2 * 80 / 36 * SHAPE[1] / 2.0, 0.0], rel=1e-3)
