@@ -162,6 +162,10 @@ class Options(Controls):
     @classmethod
     def of(cls, **given: Any) -> Options:
         """Return options of which some are given; None stands for the default, and pairs may come as lists."""
+        known = [each.name for each in fields(cls)]
+        for name in given:
+            if name not in known:
+                raise TypeError(f"there is no option {name!r}: there are {', '.join(known)}")
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         pairs = {name: tuple(value) for name, value in chosen.items() if isinstance(value, list)}
         return cls(**chosen | pairs)

@@ -74,3 +74,8 @@ def test_bad_values_are_refused_by_name(bad):
 
 def test_options_take_the_controls_and_can_be_changed():
     assert replace(Options(near_strength=0.5), max_coc=3.0).near_strength == 0.5
+
+
+def test_an_option_that_does_not_exist_is_named_with_those_that_do():
+    with pytest.raises(TypeError, match=r"no option 'blade': there are .*\bmax_coc\b"):
+        Options.of(blade=6)
