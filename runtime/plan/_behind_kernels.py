@@ -500,9 +500,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
     ----------
     nearer : ndarray of shape (H, W), float32
         Share of each pixel that nearer layers hide.
-    cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32, and (h / BLOCK, w / BLOCK), bool
-        What hides them, see `enter_layer`; `add_features`; `find_gaps`; and the blocks of cells whose features are
-        filled.
+    cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32, and (h, w), uint8
+        What hides them, see `enter_layer`; `add_features`; `find_gaps`; and
+        `runtime.plan._bridge_kernels.mark_comparable`.
     looked_up : tuple of two ints and three ndarrays
         Row and column of the first cell, as for `row_distances`; and the blocks' places, how unlike these are, and how
         bright what was seen around is.
@@ -515,9 +515,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
     known : ndarray of shape (H, W), uint64
         Bits of the layers of which all that is hidden in a pixel is known; set.
     """
-    hides, features, gap, wanted = cells
+    hides, features, gap, comparable = cells
     first, places, unlike, brightest = looked_up
-    shown = hides, features, wanted, first
+    shown = hides, features, comparable
     value, bit = np.empty(features.shape[2]), np.uint64(1) << np.uint64(number)
     for i in range(begin, end):
         top, bottom = _pixels_in(i, level, corner[0], nearer.shape[0])
@@ -527,7 +527,7 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
             # Copy from what the blocks around were found to be like.
             total = _copy(hides, features, first, places, unlike, brightest, i, j, value)
             # Where nothing is alike, continue what is seen beside a narrow gap across it.
-            if total == 0.0 and bridge(shown, i, j, value):
+            if total == 0.0 and bridge(shown, i, j, gap[i, j], value):
                 total = 1.0
             if total == 0.0:
                 continue

@@ -4,67 +4,143 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import helper
+from spreadlets.compiled import helper, kernel
 from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, LEAST_LIGHT, LIKE, MOSTLY_SEEN
 
-N_DIRECTIONS = 32
-"""Directions in which a gap may be crossed."""
+N_DIRECTIONS, COARSE = 32, 4
+"""Directions in which a gap may be crossed, and every so many-eth is tried first."""
+DOWN = np.sin(np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS)
+ACROSS = np.cos(np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS)
+"""Rows and columns of a step in each."""
 LONGEST = 16
 """Cells from a hidden one to either side, at most."""
 BESIDE = 3
 """Cells to either side of a line across the gap whose ends are compared, too."""
 LEAST_COMPARED = 6
-"""Of these, how many must be comparable."""
+"""Of these and itself, how many must be comparable."""
 LENGTH_PRICE = 1e-4
 """What a cell of a line's length counts beside mean squared relative differences: of alike lines, the shortest."""
 LEAST_COVERED = 0.9
 """Share of a cell that the layer must cover to be compared: what ends there, as leaves do, goes on nowhere."""
+EVEN = 0.02
+"""Squared relative difference below which all that lies around a cell is of one colour, which fills the gap anyway."""
 
 
-@helper
-def _is_seen(cells, row, col):
-    """Return whether most of a cell was seen, and its block is filled; for ``cells`` see `bridge`."""
-    hides, _, wanted, corner = cells
-    if not (0 <= row < hides.shape[0] and 0 <= col < hides.shape[1]):
-        return False
+@kernel
+def mark_comparable(begin, end, hides, features, corner, wanted, comparable):
+    """Mark the cells of a layer that are seen, and that it covers.
+
+    Parameters
+    ----------
+    hides : ndarray of shape (h, w), float32
+        Share of each cell that nearer layers hide.
+    features : ndarray of shape (h, w, n), float32
+        What was seen of the layer, see `runtime.plan._behind_kernels.add_features`.
+    corner : tuple of two ints
+        Row and column of the first cell, counted from the picture's centre: blocks lie as that does.
+    wanted : ndarray of shape (h / BLOCK, w / BLOCK), bool
+        The blocks of cells whose features are filled.
+    comparable : ndarray of shape (h, w), uint8
+        Filled: 0 where a cell is not seen, or not known; 1 where it is, and 2 where the layer covers it.
+    """
     above, before = corner[0] % BLOCK, corner[1] % BLOCK
-    return 1.0 - hides[row, col] >= MOSTLY_SEEN and wanted[(row + above) // BLOCK, (col + before) // BLOCK]
+    for row in range(begin, end):
+        for col in range(hides.shape[1]):
+            seen = np.float32(1.0) - hides[row, col]
+            known = seen >= MOSTLY_SEEN and wanted[(row + above) // BLOCK, (col + before) // BLOCK]
+            covers = known and features[row, col, ALPHA] >= LEAST_COVERED * seen
+            comparable[row, col] = 2 if covers else (1 if known else 0)
 
 
 @helper
-def _steps_to_seen(cells, row, col, down, across):
-    """Return the steps from a hidden cell along a direction to the first one that was seen; 0 if none is near."""
-    for step in range(1, LONGEST + 1):
-        if _is_seen(cells, *_away(row, col, down, across, step)):
+def _away(row, col, turn, steps):
+    """Return the cell some steps away in a direction."""
+    return int(math.floor(row + steps * DOWN[turn] + 0.5)), int(math.floor(col + steps * ACROSS[turn] + 0.5))
+
+
+@helper
+def _steps_to_seen(comparable, row, col, turn, side, first):
+    """Return the steps from a hidden cell to one side of a direction to the first one that was seen; 0 if none is."""
+    height, width = comparable.shape
+    for step in range(first, LONGEST + 1):
+        i, j = _away(row, col, turn, side * step)
+        if not (0 <= i < height and 0 <= j < width):
+            return 0
+        if comparable[i, j]:
             return step
     return 0
 
 
 @helper
-def _away(row, col, down, across, steps):
-    """Return the cell some steps away along a direction."""
-    return int(math.floor(row + steps * down + 0.5)), int(math.floor(col + steps * across + 0.5))
-
-
-@helper
-def _difference(cells, one, other):
-    """Return the squared relative difference of two cells' colours and alphas; negative if they are not comparable."""
-    if not (_is_seen(cells, *one) and _is_seen(cells, *other)):
-        return -1.0
-    hides, features = cells[0], cells[1]
-    scale, other_scale = 1.0 / (1.0 - hides[one]), 1.0 / (1.0 - hides[other])
-    if min(scale * features[one][ALPHA], other_scale * features[other][ALPHA]) < LEAST_COVERED:
-        return -1.0
-    total = 0.0
+def _difference(hides, features, i, j, k, m):
+    """Return the squared relative difference of two cells' colours and alphas."""
+    scale, other_scale = (
+        np.float32(1.0) / (np.float32(1.0) - hides[i, j]),
+        np.float32(1.0) / (np.float32(1.0) - hides[k, m]),
+    )
+    total = np.float32(0.0)
     for c in range(ALPHA + 1):
-        first, second = scale * features[one][c], other_scale * features[other][c]
-        each = (first - second) / (LEAST_LIGHT + 0.5 * (abs(first) + abs(second)))
+        first, second = scale * features[i, j, c], other_scale * features[k, m, c]
+        each = (first - second) / (np.float32(LEAST_LIGHT) + np.float32(0.5) * (abs(first) + abs(second)))
         total += each * each
-    return total
+    return np.float64(total)
 
 
 @helper
-def bridge(cells, row, col, value):
+def _cost(hides, features, comparable, row, col, turn, forth, back, least):
+    """Return how unlike the ends of a line across a gap are, and of those beside it; infinite if not the least."""
+    height, width = comparable.shape
+    length_price = LENGTH_PRICE * (forth + back)
+    total, compared = 0.0, 0
+    for number in range(2 * BESIDE + 1):
+        # The line itself first, then those to both sides of it.
+        side = (number + 1) // 2 * (1 if number % 2 else -1)
+        y, x = row + side * ACROSS[turn], col - side * DOWN[turn]
+        i, j = _away(y, x, turn, forth)
+        k, m = _away(y, x, turn, -back)
+        inside = 0 <= i < height and 0 <= j < width and 0 <= k < height and 0 <= m < width
+        if inside and comparable[i, j] == 2 and comparable[k, m] == 2:
+            total += _difference(hides, features, i, j, k, m)
+            compared += 1
+        elif number - compared >= 2 * BESIDE + 1 - LEAST_COMPARED:
+            return math.inf
+        if total >= (least - length_price) * (2 * BESIDE + 1):
+            return math.inf
+    return total / compared + length_price
+
+
+@helper
+def _is_even(hides, features, comparable, row, col, first):
+    """Return whether what lies around a hidden cell is of one colour."""
+    one_row = one_col = -1
+    for turn in range(0, N_DIRECTIONS, N_DIRECTIONS // 4):
+        for side in (-1, 1):
+            steps = _steps_to_seen(comparable, row, col, turn, side, first)
+            if steps == 0:
+                continue
+            i, j = _away(row, col, turn, side * steps)
+            if one_row < 0:
+                one_row, one_col = i, j
+            elif _difference(hides, features, one_row, one_col, i, j) > EVEN:
+                return False
+    return True
+
+
+@helper
+def _try(cells, row, col, turn, first, least):
+    """Return the cost of the line through a hidden cell in a direction, and its steps forth and back."""
+    hides, features, comparable = cells
+    forth = _steps_to_seen(comparable, row, col, turn, 1, first)
+    if forth == 0:
+        return math.inf, 0, 0
+    back = _steps_to_seen(comparable, row, col, turn, -1, first)
+    if back == 0:
+        return math.inf, 0, 0
+    return _cost(hides, features, comparable, row, col, turn, forth, back, least), forth, back
+
+
+@helper
+def bridge(cells, row, col, gap, value):
     """Fill ``value`` (n) with what lies in a hidden cell, if lines go on across it; return whether they do.
 
     In each direction, what is seen where the gap begins and ends is compared, and beside it, too. Along the direction
@@ -72,46 +148,40 @@ def bridge(cells, row, col, value):
 
     Parameters
     ----------
-    cells : tuple of ndarrays of shapes (h, w), (h, w, n), float32, and (h / BLOCK, w / BLOCK), bool, and of two ints
-        What hides the cells, their features, in which blocks these are filled, and row and column of the first cell.
+    cells : tuple of ndarrays of shapes (h, w), (h, w, n), float32, and (h, w), uint8
+        What hides the cells, their features, and which are comparable, see `mark_comparable`.
     row, col : int
         The cell.
+    gap : float
+        Distance to the next cell that was seen.
     value : ndarray of shape (n,)
         Filled with features.
     """
+    hides, features, comparable = cells
+    first = max(int(gap - 0.7), 1)
+    if first > LONGEST or _is_even(hides, features, comparable, row, col, first):
+        return False
+    # Try some directions, and those beside the best one.
     least, best, ahead, back = LIKE, -1, 0, 0
+    for turn in range(0, N_DIRECTIONS, COARSE):
+        cost, forth, behind = _try(cells, row, col, turn, first, least)
+        if cost < least:
+            least, best, ahead, back = cost, turn, forth, behind
+    middle = best
     for turn in range(N_DIRECTIONS):
-        # Find the ends of the line across the gap.
-        angle = math.pi * turn / N_DIRECTIONS
-        down, across = math.sin(angle), math.cos(angle)
-        forth = _steps_to_seen(cells, row, col, down, across)
-        if forth == 0:
+        apart = abs(turn - middle)
+        if turn % COARSE == 0 or (middle >= 0 and min(apart, N_DIRECTIONS - apart) >= COARSE):
             continue
-        behind = _steps_to_seen(cells, row, col, -down, -across)
-        if behind == 0 or LENGTH_PRICE * (forth + behind) >= least:
-            continue
-        # Compare them, and those of the lines beside it.
-        total, compared = 0.0, 0
-        for side in range(-BESIDE, BESIDE + 1):
-            y, x = row + side * across, col - side * down
-            each = _difference(cells, _away(y, x, down, across, forth), _away(y, x, down, across, -behind))
-            if each >= 0.0:
-                total += each
-                compared += 1
-        if compared < LEAST_COMPARED:
-            continue
-        cost = total / compared + LENGTH_PRICE * (forth + behind)
+        cost, forth, behind = _try(cells, row, col, turn, first, least)
         if cost < least:
             least, best, ahead, back = cost, turn, forth, behind
     if best < 0:
         return False
     # Interpolate along the best one.
-    hides, features = cells[0], cells[1]
-    angle = math.pi * best / N_DIRECTIONS
-    one = _away(row, col, math.sin(angle), math.cos(angle), ahead)
-    other = _away(row, col, math.sin(angle), math.cos(angle), -back)
+    i, j = _away(row, col, best, ahead)
+    k, m = _away(row, col, best, -back)
     share = np.float64(back) / (ahead + back)
+    one, other = share / (1.0 - hides[i, j]), (1.0 - share) / (1.0 - hides[k, m])
     for c in range(len(value)):
-        value[c] = share * features[one][c] / (1.0 - hides[one])
-        value[c] += (1.0 - share) * features[other][c] / (1.0 - hides[other])
+        value[c] = one * features[i, j, c] + other * features[k, m, c]
     return True

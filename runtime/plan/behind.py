@@ -24,7 +24,7 @@ from spreadlets.runtime.label.lists import LIST_WIDTH
 from spreadlets.runtime.label.pixels import Labelled
 from spreadlets.runtime.label.surfaces import DEPTHS, MOTIONS, Surface, take_features
 from spreadlets.runtime.label.tiles import largest_around, tiling
-from spreadlets.runtime.plan import _behind_kernels, _hidden_kernels
+from spreadlets.runtime.plan import _behind_kernels, _bridge_kernels, _hidden_kernels
 from spreadlets.runtime.plan._alike_kernels import BLOCK
 from spreadlets.runtime.plan.alike import (
     BLOCKS_AROUND,
@@ -146,7 +146,9 @@ def find_behind(
                 refine(here, places)
             # Which places are given up, the first frame alone decides.
             brightest = judged(here, places if not index else places._replace(unlike=places.unlike.copy()))
-            looked_up = (cells[0], features, gap, wanted), (corner, *places, brightest), level, seen.corner
+            comparable = buffer(gap.shape, np.uint8)
+            for_bands(_bridge_kernels.mark_comparable, len(gap), cells[0], features, corner, wanted, comparable)
+            looked_up = (cells[0], features, gap, comparable), (corner, *places, brightest), level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
         Behind(_listed(frame[-1][0], first, *found[1:], strands), each)

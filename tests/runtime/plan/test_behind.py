@@ -91,7 +91,7 @@ def test_what_is_copied_is_no_brighter_than_all_that_was_seen_around():
     found = np.zeros(looked_up, np.int32), np.zeros(looked_up, np.float32), np.zeros((*looked_up, 4), np.float32)
     known, given = np.zeros(looked_up, np.uint64), ((0, 0), places, unlike, np.full((1, 3), 0.5))
     _behind_kernels.find_behind(
-        0, 8, near, (hides, features, far, np.ones((1, 3), bool)), given, 0, (0, 0), 1, found, known
+        0, 8, near, (hides, features, far, np.ones(hides.shape, np.uint8)), given, 0, (0, 0), 1, found, known
     )
     assert np.allclose(found[2][:, :8], (0.5, 0.5, 0.5, 1.0))
 
