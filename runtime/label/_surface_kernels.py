@@ -384,6 +384,16 @@ def _colour_models(count, sums, mean, variance):
 
 
 @helper
+def _missing(colour, mean, variance, share, count, c, least):
+    """Return what a pixel's surfaces lack of a channel of its colour, and the variance of that, at least so much."""
+    missing, noise = np.float64(colour[c]), least
+    for s in range(count):
+        missing -= share[s] * mean[s, c]
+        noise += share[s] ** 2 * variance[s, c]
+    return missing, noise
+
+
+@helper
 def _fit_shares(colour, mean, variance, trust, count, share):
     """Change the surfaces' shares of a pixel, from a first guess, to those that its colour makes most likely.
 
@@ -393,10 +403,7 @@ def _fit_shares(colour, mean, variance, trust, count, share):
     xx = 1.0 / trust[1] ** 2
     yy, xy, x, y = 1.0 / trust[2] ** 2, 0.0, 0.0, 0.0
     for c in range(4):
-        missing, noise = np.float64(colour[c]), 1e-8
-        for s in range(count):
-            missing -= share[s] * mean[s, c]
-            noise += share[s] ** 2 * variance[s, c]
+        missing, noise = _missing(colour, mean, variance, share, count, c, 1e-8)
         first = mean[1, c] - mean[0, c]
         xx, x = xx + first * first / noise, x + first * missing / noise
         if count == 3:
@@ -423,10 +430,7 @@ def _fit_shares(colour, mean, variance, trust, count, share):
 def _divide(colour, mean, variance, share, count, colours):
     """Fill the likeliest colours (MOST, 4) of a pixel's surfaces that add up to the pixel's; none is below 0."""
     for c in range(4):
-        missing, noise = np.float64(colour[c]), 1e-12
-        for s in range(count):
-            missing -= share[s] * mean[s, c]
-            noise += share[s] ** 2 * variance[s, c]
+        missing, noise = _missing(colour, mean, variance, share, count, c, 1e-12)
         short = whole = 0.0
         for s in range(count):
             value = mean[s, c] + missing * share[s] * variance[s, c] / noise
@@ -659,10 +663,7 @@ def _fit_pixel(given, known, row, col, count, widening, work, sources, trust):
     # Compare what they show with the pixel.
     badness = 0.0
     for c in range(4):
-        missing, noise = np.float64(radiance[row, col, c]), 1e-8
-        for s in range(count):
-            missing -= each[s] * mean[s, c]
-            noise += each[s] ** 2 * variance[s, c]
+        missing, noise = _missing(radiance[row, col], mean, variance, each, count, c, 1e-8)
         badness += missing * missing / noise
     return badness
 

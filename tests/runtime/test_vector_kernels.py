@@ -22,25 +22,14 @@ def weighted_sum_of_two(out, x, y, i, j):
 
 @pytest.mark.interpreted
 @pytest.mark.parametrize("i, j", [(0, 0), (1, 5), (7, 2)])
-def test_two_pixels_at_once_are_as_one_and_the_next(i, j):
-    x, y = np.random.default_rng(i).normal(size=(2, 15)).astype(np.float32)
-    plain, compiled = np.zeros((2, 15), np.float32)
-    weighted_sum_of_two(plain, x, y, i, j)
-    numba.njit(weighted_sum_of_two)(compiled, x, y, i, j)
-    expected = np.zeros(15, np.float32)
-    expected[j : j + 8] = x[i : i + 8] * y[i : i + 8] + x[i : i + 8]
-    assert np.array_equal(plain, expected) and np.array_equal(compiled, expected)
-
-
-@pytest.mark.interpreted
-@pytest.mark.parametrize("i, j", [(0, 0), (1, 5), (7, 2)])
-def test_compiled_vectors_are_the_plain_ones(i, j):
-    x, y = np.random.default_rng(i).normal(size=(2, 11)).astype(np.float32)
-    plain, compiled = np.zeros((2, 11), np.float32)
-    weighted_sum(plain, x, y, i, j)
-    numba.njit(weighted_sum)(compiled, x, y, i, j)
-    expected = np.zeros(11, np.float32)
-    expected[j : j + 4] = x[i : i + 4] * y[i : i + 4] + x[i : i + 4]
+@pytest.mark.parametrize("function, width", [(weighted_sum, 4), (weighted_sum_of_two, 8)])
+def test_compiled_vectors_are_the_plain_ones(function, width, i, j):
+    x, y = np.random.default_rng(i).normal(size=(2, width + 7)).astype(np.float32)
+    plain, compiled = np.zeros((2, width + 7), np.float32)
+    function(plain, x, y, i, j)
+    numba.njit(function)(compiled, x, y, i, j)
+    expected = np.zeros(width + 7, np.float32)
+    expected[j : j + width] = x[i : i + width] * y[i : i + width] + x[i : i + width]
     assert np.array_equal(plain, expected) and np.array_equal(compiled, expected)
 
 
