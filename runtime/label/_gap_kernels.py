@@ -54,6 +54,30 @@ def find_thin(begin, end, place, gap, thin):
                 thin[row, col] = UPRIGHT
 
 
+@kernel
+def find_loose(begin, end, place, thin, gap, loose):
+    """Mark the thin pixels of which at most one neighbour shows the same surface: where samples have missed the rest.
+
+    Parameters
+    ----------
+    place, thin, gap
+        See `find_thin`.
+    loose : ndarray of shape (H, W), bool
+        Filled.
+    """
+    height, width = place.shape
+    for row in range(begin, end):
+        for col in range(width):
+            loose[row, col] = False
+            if not thin[row, col]:
+                continue
+            alike = -1
+            for i in range(max(row - 1, 0), min(row + 2, height)):
+                for j in range(max(col - 1, 0), min(col + 2, width)):
+                    alike += abs(place[i, j] - place[row, col]) < gap
+            loose[row, col] = alike <= 1
+
+
 @helper
 def on_line(row, col, down, across, step, steps):
     """Return the pixel after some of the steps from a pixel to the one so many rows and columns away."""

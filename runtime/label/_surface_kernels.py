@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.label._guide_kernels import is_loose, learn_from_colours
 
 REACH = 2
 """Surfaces whose pixels lie no farther than this, px, may be seen in a pixel: filters are up to 3 px wide."""
@@ -32,6 +33,10 @@ LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
 """Deviation of a surface's colour: at least so much, and so much of itself."""
 LOG_LAMP_RATIO = math.log(4.0)
 """Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else."""
+GUIDE_TRUST = 0.05
+"""Deviation of a share that colours have told."""
+STRAIGHT = 0.9
+"""How straight an edge is, from 0 to 1, along which point samples tell enough."""
 SAME_SURFACE = 1.0
 """Difference of places, px, below which a pixel is taken to show the surface of another: that of a gap."""
 MOST_TRIED = 6
@@ -281,7 +286,7 @@ def _edge_share(place, row, col, low, high, which, number, along, longest):
             yy += weight * (down * down)
             xy += weight * (across * down)
     if xx + yy == 0.0:
-        return np.float64(low <= place[row, col] <= high), 0.0
+        return np.float64(low <= place[row, col] <= high), 0.0, 0.0
     # Turn into the direction of least change, and filter the longer, the straighter the edge is.
     size = math.sqrt((xx - yy) ** 2 + 4.0 * xy * xy)
     double_cosine = (xx - yy) / size if size > 0.0 else 1.0
@@ -301,7 +306,7 @@ def _edge_share(place, row, col, low, high, which, number, along, longest):
             y, x = row + side * step_row, col + side * step_col
             share += weight * _share_between(place, y, x, low, high)
             beside += weight * _share_beside(place, y, x, step_row, step_col, low, high)
-    return share / total, (beside - 2.0 * share) / total
+    return share / total, (beside - 2.0 * share) / total, size / (xx + yy)
 
 
 @helper
@@ -565,7 +570,8 @@ def _work():
     window, side = (2 * REACH + 1) ** 2, 2 * COLOUR_REACH + 1
     spare = np.empty(window), np.empty(window), np.empty(window)
     found = np.empty((side, side), np.int8), np.empty(MOST), np.empty(MOST), np.empty((MOST, 4)), np.empty((MOST, 4))
-    return found, spare, np.empty((MOST, 2)), np.empty((MOST, 13)), np.empty((side, side))
+    guide = np.empty(6), np.empty((MOST + 1, 4)), np.empty(MOST), np.empty((MOST, 3))
+    return found, spare, np.empty((MOST, 2)), np.empty((MOST, 13)), np.empty((side, side)), guide, np.zeros(1)
 
 
 @helper
@@ -581,10 +587,11 @@ def _explain(given, row, col, gap, last, work):
     work : tuple
         See `_work`. The first is filled: number of the surface that each pixel around is of, see `_number_surfaces`;
         shares (MOST,), which sum to 1, and what is to be added to them for each px^2 of half the variance that the
-        filter has beyond that of a tent 2 px wide; mean and variance of the colours (MOST, 4).
+        filter has beyond that of a tent 2 px wide; mean and variance of the colours (MOST, 4). So is the last: how much
+        of the shares colours have told (1,).
     """
-    place, point, radiance, weights = given
-    (which, each, wider, mean, variance), spare, bounds, sums, counts = work
+    place, point, radiance, weights, loose = given
+    (which, each, wider, mean, variance), spare, bounds, sums, counts, guide, told = work
     n = _surfaces_around(place, point, row, col, gap, last, spare, bounds)
     if n < 2:
         return 0
@@ -592,19 +599,31 @@ def _explain(given, row, col, gap, last, work):
     # Guess the shares.
     _number_surfaces(place, row, col, bounds, which)
     along, longest = (STRAND_ALONG, STRAND_LONGEST) if _is_strand(place, point, row, col) else (ALONG, LONGEST)
-    each[0], wider[0] = _edge_share(point, row, col, bounds[0, 0], bounds[0, 1], which, 0, along, longest)
+    each[0], wider[0], straight = _edge_share(point, row, col, bounds[0, 0], bounds[0, 1], which, 0, along, longest)
     # Of two, the other covers the rest.
     each[1], wider[1], each[2], wider[2] = 1.0 - each[0], -wider[0], 0.0, 0.0
     for s in range(1 if count == 3 else count, count):
-        each[s], wider[s] = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
+        each[s], wider[s], _ = _edge_share(point, row, col, bounds[s, 0], bounds[s, 1], which, s, along, longest)
     total = each[0] + each[1] + each[2]
     if total == 0.0:
         return 0
     for s in range(count):
         each[s], wider[s] = each[s] / total, wider[s] / total
+    # Where samples hit something fine here and there, colours tell more.
+    told[0] = 0.0
+    if straight < STRAIGHT and is_loose(loose, row, col, REACH):
+        certain = learn_from_colours(point, radiance, row, col, bounds, count, guide)
+        told[0] = (1.0 - straight) * certain
+        for s in range(count):
+            each[s] += told[0] * (guide[2][s] - each[s])
+            wider[s] *= 1.0 - told[0]
     # Learn the colours.
     _add_colours(radiance, weights, row, col, which, count, counts, sums)
     _colour_models(count, sums, mean, variance)
+    if told[0] > 0.0:
+        for s in range(count):
+            for c in range(3):
+                mean[s, c] += told[0] * (guide[3][s, c] - mean[s, c])
     return n
 
 
@@ -655,6 +674,8 @@ def _fit_pixel(given, known, row, col, count, widening, work, sources, trust):
     for s in range(count):
         each[s] /= total
     _find_sources(weights[0], row, col, which, count, sources, trust)
+    for s in range(1, count):
+        trust[s] += work[6][0] * (GUIDE_TRUST - trust[s])
     if count == 2 and known[row, col] >= 0.0:
         nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
         each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
@@ -674,10 +695,11 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
 
     Parameters
     ----------
-    given : tuple of place, point, radiance and weights
+    given : tuple of place, point, radiance, weights and loose
         ``place`` (H, W), float32: where surfaces lie in depth, as CoC radii, px; infinite where there is nothing; and
         ``point`` (H, W), float32: the same before the gaps of strands were closed.
-        ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`.
+        ``radiance`` (H, W, 4), float32. ``weights``: see `weigh_pixels`. ``loose`` (H, W), bool: see
+        `_gap_kernels.find_loose`, of ``point``.
     known : ndarray of shape (H, W), float32
         Share of the nearer of two surfaces where the depth tells it, else -1.
     listed : tuple of ndarrays of shapes (H, W) and (H + 1,), int32 and int64
@@ -688,16 +710,17 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
         Half of what the variance of the pixels' filter is larger by than that of a tent 2 px wide, px^2.
     first : tuple of ndarrays of shapes (H, W) and (H, W, 4), float32
         Coverage and colour of the pixel's own surface; changed where it has others.
-    found : tuple of ndarrays of shapes (n, 2), (n, MOST), (n, MOST, 2) and (n, MOST, 4), int32 and float32 in turn
-        Filled for each listed pixel: its row and column; the coverages, which sum to 1, or all are 0 where it has one
-        surface; row and column of a pixel that has each surface's label; and the colours.
+    found : tuple of ndarrays of shapes (n, 2), (n, MOST), (n, MOST, 2), (n, MOST, 4) and (n,)
+        Filled for each listed pixel: its row and column, int32; the coverages, float32, which sum to 1, or all are 0
+        where it has one surface; row and column of a pixel that has each surface's label, int32; the colours, float32;
+        and how much of all that colours have told, from 0 to 1, float32.
 
     Returns
     -------
     int
         Number of pixels with more than one surface.
     """
-    place, _, radiance, weights = given
+    place, _, radiance, weights, _ = given
     work, trust = _work(), np.ones(MOST)
     _, each, _, mean, variance = work[0]
     mixed = 0
@@ -727,6 +750,7 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
             if best != tried:
                 _explain(given, row, col, gap, best, work)
                 _fit_pixel(given, known, row, col, count, widening, work, sources, trust)
+            found[4][number] = work[6][0]
             if each[0] == 1.0:
                 continue
             # Divide the colour among the surfaces.

@@ -28,7 +28,7 @@ MOST_COVERED = 0.98
 @helper
 def _surface_at(found, number, place, here, most):
     """Return which of a mixed pixel's surfaces lies at a place, -1 if none does."""
-    _, shares, sources, _ = found
+    _, shares, sources, _, _ = found
     for s in range(shares.shape[1]):
         seen = s == 0 or shares[number, s] > 0.0
         if seen and abs(place[sources[number, s, 0], sources[number, s, 1]] - here) < most:
@@ -90,7 +90,7 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
     measured : ndarray of shape (n, 5), float32
         Filled for each pixel of a strand: coverage, px, and light.
     """
-    _, shares, _, colours = found
+    _, shares, _, colours, _ = found
     for row in range(begin, end):
         for col in range(place.shape[1]):
             if strand[row, col] < 0:
@@ -160,7 +160,7 @@ def average_strands(begin, end, place, thin, strand, mixed, found, gap, measured
     wanted : ndarray of shape (n, 2 * BESIDE + 1, 5), float32
         Filled for each pixel of a strand, and the pixels across it: coverage, -1 where it stays as it is, and light.
     """
-    _, shares, _, colours = found
+    _, shares, _, colours, told = found
     mean = np.empty(5)
     for row in range(begin, end):
         for col in range(place.shape[1]):
@@ -189,6 +189,11 @@ def average_strands(begin, end, place, thin, strand, mixed, found, gap, measured
                     if light > 0.0:
                         likely = own * colours[mixed[i, j], s, c] * mean[1 + c] / light
                         each[1 + c] += measured[number, 0] / whole * (likely - each[1 + c])
+                # What colours have told of the pixel stays.
+                kept = told[mixed[i, j]]
+                each[0] += kept * (own - share)
+                for c in range(4):
+                    each[1 + c] += kept * (own * colours[mixed[i, j], s, c] - each[1 + c])
 
 
 @helper
@@ -230,7 +235,7 @@ def even_strands(begin, end, place, radiance, thin, strand, mixed, gap, wanted, 
     first, found : tuple
         See `divide_pixels`; changed.
     """
-    _, shares, _, colours = found
+    _, shares, _, colours, _ = found
     for row in range(begin, end):
         for col in range(place.shape[1]):
             if strand[row, col] < 0:

@@ -137,14 +137,14 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     n, most = int(starts[-1]), _surface_kernels.MOST
     first = np.ones(layer.shape, np.float32), copied(layer.radiance)
     found = np.empty((n, 2), np.int32), np.empty((n, most), np.float32), np.empty((n, most, 2), np.int32)
-    colours = np.empty((n, most, 4), np.float32)
-    given, listed = (place, point, layer.radiance, weights), (columns, starts)
+    colours, told = np.empty((n, most, 4), np.float32), np.zeros(n, np.float32)
+    given, listed = (place, point, layer.radiance, weights, _loose(point)), (columns, starts)
     widening = filter_widening(given, listed)
-    divided = known, listed, LEAST_GAP, widening, first, (*found, colours)
+    divided = known, listed, LEAST_GAP, widening, first, (*found, colours, told)
     if not sum(for_bands(_surface_kernels.divide_pixels, height, given, *divided)):
         yield Surface(layer)
         return
-    even_strands(place, layer.radiance, first, (*found, colours))
+    even_strands(place, layer.radiance, first, (*found, colours, told))
     yield Surface(replace(layer, radiance=first[1]), first[0])
     for number in range(1, most):
         chosen = np.flatnonzero(found[1][:, number])
@@ -157,7 +157,7 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
 
 
 def filter_widening(
-    given: tuple[Image, Image, Image, tuple[Image, Image, Image]], listed: tuple[Indices, IntArray]
+    given: tuple[Image, Image, Image, tuple[Image, Image, Image], BoolArray], listed: tuple[Indices, IntArray]
 ) -> float:
     """Guess from mixed pixels by how much their filter is wider than a tent 2 px wide, see the kernels.
 
@@ -439,7 +439,7 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
 
 
 def even_strands(
-    place: Image, radiance: Image, first: tuple[Image, Image], found: tuple[Indices, Image, Indices, Image]
+    place: Image, radiance: Image, first: tuple[Image, Image], found: tuple[Indices, Image, Indices, Image, Image]
 ) -> None:
     """Make strands as wide and as bright as they are on average along their line.
 
@@ -472,6 +472,13 @@ def _thin(place: Image) -> npt.NDArray[np.int8]:
     thin = np.empty(place.shape, np.int8)
     for_bands(_gap_kernels.find_thin, len(place), place, LEAST_GAP, thin)
     return thin
+
+
+def _loose(place: Image) -> BoolArray:
+    """Return in which pixels samples of something fine have missed the rest of it, see `_gap_kernels.find_loose`."""
+    loose = np.empty(place.shape, np.bool_)
+    for_bands(_gap_kernels.find_loose, len(place), place, _thin(place), LEAST_GAP, loose)
+    return loose
 
 
 def _surface(layer: Layer, colours: Image, source: Indices) -> Layer:
