@@ -12,6 +12,8 @@ UNCERTAIN = 0.1
 """Share of the samples' variance that chance explains about as well as colours do."""
 BRIGHTEST = 2.0
 """Radiance above which nothing is learnt: where there is a lamp, all other colours are alike."""
+LEAST_LOOSE = 2
+"""Such samples that lie around a pixel: a single one may be the end of something."""
 TINY = 1e-9
 
 WEIGHT = np.exp(-0.5 * np.add.outer(*2 * [np.arange(-REACH, REACH + 1, dtype=np.float64) ** 2]) / WIDTH**2)
@@ -19,13 +21,13 @@ WEIGHT = np.exp(-0.5 * np.add.outer(*2 * [np.arange(-REACH, REACH + 1, dtype=np.
 
 @helper
 def is_loose(loose, row, col, reach):
-    """Return whether point samples that hit a fine thing here and there lie around a pixel."""
+    """Return whether point samples that hit a fine thing here and there lie around a pixel, within a reach, px."""
     height, width = loose.shape
+    count = 0
     for i in range(max(row - reach, 0), min(row + reach + 1, height)):
         for j in range(max(col - reach, 0), min(col + reach + 1, width)):
-            if loose[i, j]:
-                return True
-    return False
+            count += loose[i, j]
+    return count >= LEAST_LOOSE
 
 
 @helper
