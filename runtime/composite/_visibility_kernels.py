@@ -7,7 +7,7 @@ import numpy as np
 from spreadlets.compiled import helper, kernel
 
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
-"""Columns of `layer_moments`."""
+"""Columns of `layer_moments`, all sums; the largest blur, px, comes behind them."""
 
 
 @helper
@@ -16,14 +16,16 @@ def _add_moments(total, weight, coc, path, motion):
     total[0] += weight
     total[1] += weight * coc
     total[2] += weight * coc * coc
-    total[3] += weight * (np.float64(path[0]) ** 2 + np.float64(path[1]) ** 2)
+    length_squared = np.float64(path[0]) ** 2 + np.float64(path[1]) ** 2
+    total[3] += weight * length_squared
     total[4] += weight * motion[0]
     total[5] += weight * motion[1]
+    total[6] = max(total[6], abs(coc) + 0.5 * math.sqrt(length_squared))
 
 
 @kernel
 def layer_moments(begin, end, variant, layer, farther, weight, coc, path, motion, total):
-    """Add to ``total`` (H, n_layers, 6), float64, what `MOMENTS` names of the pixels of each layer in each row.
+    """Add to ``total`` (H, n_layers, 7), float64, what `MOMENTS` names of the pixels of each layer in each row.
 
     ``weight`` is (H, W), or (0, 0) if all are 1; ``path`` and ``motion`` are (H, W, 2).
     """
@@ -126,11 +128,22 @@ def complete_cover(begin, end, cover, place, known, number, nearer, beyond):
 
 
 @kernel
-def divide_shares(begin, end, nearer, least, beyond):
-    """Divide ``beyond`` by the sum of both, or ``least`` if that is more, in place."""
+def divide_shares(begin, end, nearer, beyond, around, least):
+    """Divide ``beyond`` by the sum of both, in place; where that is less than ``least``, take what lies ``around``.
+
+    Parameters
+    ----------
+    nearer, beyond : ndarray of shape (H, W), float32
+    around : tuple of two ndarrays of shape (H, W), float32
+        The same of all that the farthest pixels of the layer blur over.
+    least : float32
+    """
     for row in range(begin, end):
         for col in range(beyond.shape[1]):
-            beyond[row, col] /= max(nearer[row, col] + beyond[row, col], least)
+            hidden, left = nearer[row, col], beyond[row, col]
+            if hidden + left < least:
+                hidden, left = around[0][row, col], around[1][row, col]
+            beyond[row, col] = left / max(hidden + left, least)
 
 
 @kernel

@@ -27,12 +27,16 @@ MOST_PADDING, LEAST_PADDING = 2, 1024
 
 
 class Moments(NamedTuple):
-    """Means over the pixels of a layer: CoC radius, px; its square; the squared path length; motion (dx, dy)."""
+    """Means over the pixels of a layer: CoC radius, px; its square; the squared path length; motion (dx, dy).
+
+    And how far, px, any of them blurs.
+    """
 
     coc: float
     coc_squared: float
     length_squared: float
     motion: tuple[float, float]
+    farthest: float = 0.0
 
     def disc_radius(self) -> float:
         """Radius, px, of the disc that, swept along the mean motion, blurs as the layer's PSFs do in the mean."""
@@ -49,23 +53,25 @@ class Moments(NamedTuple):
     def scaled(self, factor: float) -> Moments:
         """Return the moments of PSFs that are a factor as wide."""
         motion = self.motion[0] * factor, self.motion[1] * factor
-        return Moments(self.coc * factor, self.coc_squared * factor**2, self.length_squared * factor**2, motion)
+        squares = self.coc_squared * factor**2, self.length_squared * factor**2
+        return Moments(self.coc * factor, *squares, motion, self.farthest * factor)
 
 
 def layer_moments(labelled: Sequence[tuple[Pixels, Image, Membership]], n_layers: int) -> list[Moments | None]:
     """Return the means of each layer over sets of pixels, motions (H, W, 2) and members; None for empty layers."""
-    total = np.zeros((n_layers, len(_visibility_kernels.MOMENTS)), np.float64)
+    total = np.zeros((n_layers, len(_visibility_kernels.MOMENTS) + 1), np.float64)
     for pixels, motion, members in labelled:
         rows = np.zeros((len(motion), *total.shape), np.float64)
         given = pixels.weight, pixels.labels.coc, pixels.labels.whole_path, motion
         for_bands(_visibility_kernels.layer_moments, len(rows), *members, *given, rows)
-        total += rows.sum(axis=0)
+        total[:, :-1] += rows[..., :-1].sum(axis=0)
+        total[:, -1] = np.maximum(total[:, -1], rows[..., -1].max(axis=0))
     return [_means(each) if each[0] > 0 else None for each in total]
 
 
 def _means(total: npt.NDArray[np.float64]) -> Moments:
-    coc, coc_squared, length_squared, x, y = (float(each) for each in total[1:] / total[0])
-    return Moments(coc, coc_squared, length_squared, (x, y))
+    coc, coc_squared, length_squared, x, y = (float(each) for each in total[1:-1] / total[0])
+    return Moments(coc, coc_squared, length_squared, (x, y), float(total[-1]))
 
 
 class CoverPart(NamedTuple):
@@ -131,12 +137,15 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
         _visibility_kernels.take_hidden(*part, number, beyond)
     given = *cover.frame[:2], cover.known, number, nearer, beyond
     for_bands(_visibility_kernels.complete_cover, len(beyond), *given)
-    # Blur both as the layer is, and divide.
+    # Blur both as the layer is, and where that meets neither, a little farther than any of its pixels blurs.
     blur = moments.disc_radius(), moments.motion
     factor = reduction(*blur)
-    nearer, beyond = (reduced_blur(each, *blur, factor) for each in (nearer, beyond))
-    for_bands(_visibility_kernels.divide_shares, len(beyond), nearer, LEAST_REST, beyond)
-    return enlarged(beyond, cover.known.shape, factor)
+    farthest = max(moments.farthest, blur[0]) + 2.0 * factor + 1.0
+    hidden, left = (reduced_blur(each, *blur, factor) for each in (nearer, beyond))
+    around = tuple(reduced_blur(each, farthest, (0.0, 0.0), factor) for each in (nearer, beyond))
+    # Divide them.
+    for_bands(_visibility_kernels.divide_shares, len(left), hidden, left, around, LEAST_REST)
+    return enlarged(left, cover.known.shape, factor)
 
 
 def _padding(passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments) -> float:

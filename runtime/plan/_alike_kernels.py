@@ -205,7 +205,10 @@ def refine_places(begin, end, hides, features, corner, places, unlike):
 
 @helper
 def _look_around(hides, features, top, left, sums):
-    """Return how bright what was seen around a block is, and how much its colours vary, as `_unlikeness` counts it."""
+    """Return how bright what was seen around a block is, and how much its colours vary, as `_unlikeness` counts it.
+
+    Where nothing was, it may be as bright as can be.
+    """
     height, width = hides.shape
     brightest, count, sums[:] = 0.0, 0, 0.0
     for i in range(max(top - AROUND, 0), min(top + BLOCK + AROUND, height)):
@@ -222,7 +225,7 @@ def _look_around(hides, features, top, left, sums):
     for c in range(ALPHA):
         mean = sums[c, 0] / max(count, 1)
         varied += max(sums[c, 1] / max(count, 1) - mean * mean, 0.0) / (2.0 * mean + LEAST_LIGHT) ** 2
-    return brightest, varied
+    return brightest if count else math.inf, varied
 
 
 @kernel

@@ -125,6 +125,21 @@ def test_an_even_surface_stays_even():
     assert np.allclose(colours[share > 0], (0.4, 0.4, 0.4, 1.0), atol=0.005)
 
 
+def test_far_behind_an_edge_an_even_surface_is_as_bright_as_beside_it():
+    """Where blocks have seen nothing around them, nothing limits how bright what they copy is."""
+    size = 192
+    near, far = (1.0 / (1.0 / 4.0 - coc / CAMERA.coc_scale(size)) for coc in (-28.0, 0.0))
+    rows, cols = np.indices((size, size)) - size // 2
+    from_edge = 58.0 - np.hypot(rows, cols)
+    radiance = np.where(from_edge[..., None] > 0.0, 0.1, 0.4) * np.ones(3)
+    layers = Frame(radiance, np.where(from_edge > 0.0, near, far)).layers
+    divided = divide_frames(layers, CAMERA, Effects(defocus=True, motion=True, swept=True))
+    last = divided.pixel_sets[0][-1]
+    drawn = last.weight > 0.0
+    assert from_edge[tuple(last.labels.view.places.at[drawn].T)].max() > 24.0
+    assert np.abs(last.radiance[drawn][:, :3] - 0.4).max() < 0.02
+
+
 def test_behind_a_wide_blur_it_is_looked_up_in_cells_of_several_pixels(monkeypatch):
     rows, columns = np.indices((SIZE, 2 * SIZE))
     behind = np.where((rows // 8 % 2)[..., None], (0.9, 0.8, 0.7), (0.1, 0.2, 0.3))

@@ -201,7 +201,9 @@ def test_of_what_a_layer_leaves_the_part_that_nearer_ones_do_not_hide_lies_beyon
         np.array([[0, 0, 0, -1]], np.int32), np.array([[0, 1, 1, 0]], np.int32), np.float32([[0.25, 0.5, 0, 0]])
     )
     assert np.allclose(beyond(members, 0), [[1, 1, 1, 1]]), "nothing lies before the first layer"
-    assert np.allclose(beyond(members, 1), [[0, 1, 0, 1]]), "a pixel that is wholly in the layer leaves nothing"
+    share = beyond(members, 1)
+    assert np.allclose(share[0, [0, 1, 3]], [0, 1, 1])
+    assert 0.5 < share[0, 2] < 1.0, "a pixel that is wholly in the layer leaves nothing, and takes the share around it"
     assert np.allclose(beyond(members, 2), [[0, 0, 0, 1]])
     assert np.allclose(beyond(members, 2, alpha=0.5), [[0.5, 2 / 3, 0.5, 1]])
     half = np.full((1, 4), 0.5, np.float32)
@@ -216,7 +218,7 @@ def test_where_a_layer_is_known_what_nearer_ones_hide_of_it_counts():
     hidden = members_of([[1, 1, 1, 1]]), pixels_of(colours, np.float32([[1.0, 0.25, 0.0, 0.0]]), at)
     known = np.array([[0b11, 0b11, 0b1, 0b1]], np.uint64)
     found = share_beyond(Cover(cover_part(*seen), [], [cover_part(*hidden)], known), 1, SHARP)
-    assert np.allclose(found, [[0, 1, 0, 1]]), "the layer's, in part its, unknown, not hidden"
+    assert np.allclose(found[0, 1:], [1, 0, 1]), "in part the layer's, unknown, not hidden"
 
 
 def test_the_share_beyond_is_blurred_as_the_layer_is():
@@ -227,6 +229,15 @@ def test_the_share_beyond_is_blurred_as_the_layer_is():
     hidden = 1 - share
     assert hidden.sum() == pytest.approx(1.0, rel=1e-4)
     assert ((hidden > 0) == (rows**2 + cols**2 <= 36)).all()
+
+
+def test_where_a_layer_leaves_nothing_within_its_mean_blur_pixels_that_blur_farther_are_reckoned_with():
+    """A leaf 24 px wide whose layer blurs by 8 px in the mean, and by 20 at most: all that it leaves lies beyond it."""
+    layer = np.ones((41, 41), np.int32)
+    layer[:, 8:32] = 0
+    assert np.allclose(beyond(members_of(layer), 0, Moments(8.0, 64.0, 0.0, (0.0, 0.0), 20.0)), 1.0)
+    within = beyond(members_of(layer + 1), 1, Moments(8.0, 64.0, 0.0, (0.0, 0.0), 20.0))
+    assert np.allclose(within, 1.0)
 
 
 @pytest.mark.interpreted
