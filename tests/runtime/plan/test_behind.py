@@ -137,7 +137,7 @@ def test_far_behind_an_edge_an_even_surface_is_as_bright_as_beside_it():
     last = divided.pixel_sets[0][-1]
     drawn = last.weight > 0.0
     assert from_edge[tuple(last.labels.view.places.at[drawn].T)].max() > 24.0
-    assert np.abs(last.radiance[drawn][:, :3] - 0.4).max() < 0.02
+    assert np.abs(last.radiance[drawn][:, :3] - 0.4).max() < 0.05
 
 
 def test_behind_a_wide_blur_it_is_looked_up_in_cells_of_several_pixels(monkeypatch):
