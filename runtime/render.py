@@ -27,6 +27,7 @@ from spreadlets.runtime.composite.visibility import (
 )
 from spreadlets.runtime.finish.calibration import NOWHERE, calibrated, takes_whole_lens
 from spreadlets.runtime.finish.denoise import denoise_sharp
+from spreadlets.runtime.finish.edges import PlacedSamples
 from spreadlets.runtime.finish.lights import add_lights
 from spreadlets.runtime.integrate.convolution_pyramid import integrate
 from spreadlets.runtime.label.carried import carried, moves_itself
@@ -351,8 +352,14 @@ def reconstruct(
     )
     with clock.step("composite"):
         if parts:
-            colours = [each.radiance for each in plan.highlights.without_lights(pixel_sets)]
-            image = calibrated(parts, list(zip(colours, _places(samples, visibility), strict=True)))
+            shown = plan.highlights.without_lights(pixel_sets)
+            image = calibrated(
+                parts,
+                [
+                    PlacedSamples(each.radiance, place, each.labels.coc, each.labels.length)
+                    for each, place in zip(shown, _places(samples, visibility), strict=True)
+                ],
+            )
         else:
             plan.left_out.append("calibration")
         add_lights(image, plan, drawn, samples.valid)

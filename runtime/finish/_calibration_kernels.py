@@ -6,7 +6,7 @@ from spreadlets.compiled import helper, kernel
 
 
 @kernel
-def add_samples(begin, end, radiance, place, number, total, count):
+def add_samples(begin, end, radiance, place, coc, number, total, count, blur):
     """Add one sample of each pixel, as far as it is of a layer, to the layer's.
 
     Parameters
@@ -14,18 +14,23 @@ def add_samples(begin, end, radiance, place, number, total, count):
     radiance : ndarray of shape (H, W, 4), float32
     place : ndarray of shape (H, W), float32
         The number of the nearer of its layers plus the share of the next one; below -1 where there is no sample.
+    coc : ndarray of shape (H, W), float32
+        CoC radius, px.
     number : int
         The layer.
     total : ndarray of shape (H, W, 3), float32
         Colours; added to.
     count : ndarray of shape (H, W), float32
         Shares; added to.
+    blur : ndarray of shape (H, W), float32
+        CoC radii without sign; added to.
     """
     for row in range(begin, end):
         for col in range(place.shape[1]):
             share = np.float32(1.0) - abs(place[row, col] - np.float32(number))
             if share > np.float32(0.0):
                 count[row, col] += share
+                blur[row, col] += share * abs(coc[row, col])
                 for c in range(3):
                     total[row, col, c] += share * radiance[row, col, c]
 
@@ -41,8 +46,20 @@ def _add_pixel(sums, plane, i, j, product, square, value):
     sums[4, plane, i, j] += value
 
 
+@helper
+def _mean_radii(blur, count, side, i, spread):
+    """Fill a row of blocks with mean CoC radii, see `block_sums`."""
+    for j in range(-(-count.shape[1] // side)):
+        samples, radii = np.float32(0.0), np.float32(0.0)
+        for row in range(i * side, min((i + 1) * side, count.shape[0])):
+            for col in range(j * side, min((j + 1) * side, count.shape[1])):
+                samples += count[row, col]
+                radii += blur[row, col]
+        spread[i, j] = radii / samples if samples > np.float32(0.0) else np.float32(0.0)
+
+
 @kernel
-def block_sums(begin, end, layer, total, count, every, limits, side, colour, cover):
+def block_sums(begin, end, layer, own, every, limits, side, colour, cover, spread):
     """Sum, over blocks of pixels, what the gains of a layer and their errors are made of.
 
     Sums are those of `runtime.finish.gains.believed_gains`.
@@ -51,8 +68,8 @@ def block_sums(begin, end, layer, total, count, every, limits, side, colour, cov
     ----------
     layer : ndarray of shape (H, W, 4), float32
         What the layer adds to the image: premultiplied colour, and the share of the pixel that shows it.
-    total, count : ndarray of shapes (H, W, 3) and (H, W), float32
-        See `add_samples`.
+    own : tuple of ndarrays of shapes (H, W, 3), (H, W) and (H, W), float32
+        Sums of the layer's samples: total, count and blur of `add_samples`.
     every : ndarray of shape (H, W), float32
         Number of the samples of all layers.
     limits : tuple of three floats
@@ -64,10 +81,14 @@ def block_sums(begin, end, layer, total, count, every, limits, side, colour, cov
         Filled with the sums of R, G and B, weighted by the layer's samples over the squared brightness.
     cover : ndarray of shape (5, 1, rows, cols), float32
         Filled with those of the shares, weighted by all samples over the variance of whether one is of the layer.
+    spread : ndarray of shape (rows, cols), float32
+        Filled with the mean CoC radius of the layer's samples, without sign, px; 0 where there are none.
     """
+    total, count, blur = own
     height, width = count.shape
     least_share, floor, least_variance = limits
     for i in range(begin, end):
+        _mean_radii(blur, count, side, i, spread)
         for row in range(i * side, min((i + 1) * side, height)):
             for col in range(width):
                 j, n, share = col // side, np.float64(count[row, col]), np.float64(layer[row, col, 3])

@@ -16,6 +16,7 @@ import numpy as np
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _calibration_kernels
+from spreadlets.runtime.finish.edges import PlacedSamples, keep_edges, sharp_samples
 from spreadlets.runtime.finish.gains import BLOCK, SCALES, believed_gains, block_counts
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer, valid_values
@@ -64,7 +65,7 @@ def _mean(values: FloatArray) -> float:
     return float(values.mean(dtype=np.float64))
 
 
-def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[tuple[Image, Image]]) -> Image:
+def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[PlacedSamples]) -> Image:
     """Return the image of some layers, the local means of each brought to those of its samples.
 
     Parameters
@@ -72,9 +73,8 @@ def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[tuple[Imag
     layers : sequence of (number, ndarray of shape (H, W, 4), float32)
         What each layer adds to the image, premultiplied: its alpha is the share of the pixel that shows it. At least
         one.
-    samples : sequence of (radiance, place)
-        One sample of each pixel each: colours (H, W, 4), float32; and the number of the nearer of its layers plus the
-        share of the next one, (H, W), float32, `NOWHERE` where there is no sample.
+    samples : sequence of PlacedSamples
+        One for each sample of a pixel.
 
     Returns
     -------
@@ -84,23 +84,31 @@ def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[tuple[Imag
     shape = layers[0][1].shape[:2]
     scales = [scale for scale in SCALES if LEAST_WINDOWS * scale <= min(shape)]
     # Sum up how much is seen of each layer, and its colours.
-    every = np.sum([place != NOWHERE for _, place in samples], axis=0, dtype=np.float32)
+    every = np.sum([each.place != NOWHERE for each in samples], axis=0, dtype=np.float32)
     cells, limits = block_counts(shape), (LEAST_SHARE, _floor(layers), LEAST_VARIANCE)
     colour = np.zeros((len(layers), 5, 3, *cells), np.float32)
     cover = np.zeros((len(layers), 5, 1, *cells), np.float32)
+    spread = np.zeros((len(layers), *cells), np.float32)
     for k, (number, layer) in enumerate(layers):
-        total, count = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+        total, count, blur = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         for each in samples:
-            for_bands(_calibration_kernels.add_samples, len(count), *each, number, total, count)
-        given = layer, total, count, every, limits, BLOCK
-        for_bands(_calibration_kernels.block_sums, -(-len(count) // BLOCK), *given, colour[k], cover[k])
-    # Find the gains of both, and add up the layers with them.
+            for_bands(_calibration_kernels.add_samples, len(count), *each[:3], number, total, count, blur)
+        given = layer, (total, count, blur), every, limits, BLOCK
+        for_bands(_calibration_kernels.block_sums, -(-len(count) // BLOCK), *given, colour[k], cover[k], spread[k])
+    # Find the gains of both, and add up the layers with them; what is sharp stays where it was seen.
     image, whole = np.zeros_like(layers[0][1]), np.zeros(shape, np.float32)
     shares = [scale for scale in scales if scale in COVER_SCALES]
     seen = believed_gains(cover[:, :, 0].swapaxes(0, 1), shares, shared=True)
-    for (_, layer), sums, share in zip(layers, colour, seen, strict=True):
-        gain = np.ascontiguousarray(np.stack([*(share * believed_gains(sums, scales)), share], axis=-1))
-        for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, image, whole)
+    for (number, layer), sums, share, radius in zip(layers, colour, seen, spread, strict=True):
+        gain = np.ascontiguousarray(np.stack([*(share * believed_gains(sums, scales, radius)), share], axis=-1))
+        sharp = sharp_samples(samples, number)
+        if sharp is None:
+            for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, image, whole)
+            continue
+        shown = np.zeros_like(image)
+        for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, shown, whole)
+        keep_edges(shown, sharp, limits[1])
+        image += shown
     # Together they cover as much as before.
     image[..., :3] *= (whole / np.where(image[..., 3] > 0.0, image[..., 3], np.float32(1.0)))[..., None]
     image[..., 3] = whole

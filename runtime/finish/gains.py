@@ -27,6 +27,9 @@ carry the light, as under the bokeh of a small lamp, a window may hold none of t
 bright."""
 WHOLE = SURROUNDINGS * SCALES[0] // BLOCK
 """Rows and columns of blocks are multiples of so many, so that all windows are of whole blocks."""
+WIDEST = 6.0 * BLOCK
+"""CoC radius, px, up to which gains of the finest scale are believed in full; beyond, in inverse proportion. What is out
+of focus varies slowly: more is seen there of noise that few bright samples make than of any bias."""
 LARGEST_GAIN = 4.0
 TINY = np.float32(1e-37)
 
@@ -37,7 +40,9 @@ def block_counts(shape: tuple[int, ...]) -> tuple[int, int]:
     return rows, cols
 
 
-def believed_gains(sums: FloatArray, scales: Sequence[int], *, shared: bool = False) -> FloatArray:
+def believed_gains(
+    sums: FloatArray, scales: Sequence[int], radius: FloatArray | None = None, *, shared: bool = False
+) -> FloatArray:
     """Return the gain of each block in each of some planes, (n, rows, cols).
 
     Parameters
@@ -47,6 +52,8 @@ def believed_gains(sums: FloatArray, scales: Sequence[int], *, shared: bool = Fa
         ``y``, with the value y of a pixel, the mean m that it should have, and its weight w.
     scales : sequence of int
         Of `SCALES`, those that are used.
+    radius : ndarray of shape (rows, cols), float32, optional
+        Mean CoC radius of the samples of each block, px, see `WIDEST`.
     shared : bool
         Whether the planes share out each pixel between them, so that the sum of their values stays what it is.
     """
@@ -58,7 +65,10 @@ def believed_gains(sums: FloatArray, scales: Sequence[int], *, shared: bool = Fa
         gain = gain if scale == SCALES[0] else _enlarged(gain, 2)
         if scale in scales:
             left = gain * (product - gain * square)
-            gain *= np.float32(1.0) + _believed_change(left, gain * gain * square, noise, fourth, scale)
+            change = _believed_change(left, gain * gain * square, noise, fourth, scale)
+            if radius is not None and scale == BLOCK:
+                change *= np.float32(WIDEST) / np.maximum(radius, np.float32(WIDEST))
+            gain *= np.float32(1.0) + change
             np.clip(gain, 1.0 / LARGEST_GAIN, LARGEST_GAIN, out=gain)
             if shared:
                 gain *= np.maximum(value.sum(axis=0), TINY) / np.maximum((gain * value).sum(axis=0), TINY)
