@@ -389,12 +389,12 @@ def _shows_samples(samples: SampleBuffer, camera: ThinLens, database: Database, 
     """Tell whether the image should be the mean of many samples: same effects, round lens, all of lens and shutter."""
     model = database.grid.model
     moves = bool(samples.motion.any())
-    as_samples = options.defocus and (options.motion or not moves) and camera.shutter_curve is None
+    as_samples = (options.motion or not moves) and camera.shutter_curve is None
     if model.settings or not as_samples:
         return False
     axes = {axis.name for axis in model.axes}
     shown = axes == {"coc", "motion"} or (axes == {"coc"} and not moves)
-    return shown and takes_whole_lens(samples, camera)
+    return shown and takes_whole_lens(samples, camera, pinhole=not options.defocus)
 
 
 def _places(samples: SampleBuffer, visibility: PassingSamples) -> list[Image]:

@@ -45,13 +45,18 @@ TIME_OFFSET = 0.1
 """Largest distance of the mean place from the lens's centre, in radii, and of the mean time, in durations."""
 
 
-def takes_whole_lens(samples: SampleBuffer, camera: ThinLens) -> bool:
-    """Tell whether the samples are spread over lens and shutter, so that their mean is the blurred image."""
+def takes_whole_lens(samples: SampleBuffer, camera: ThinLens, *, pinhole: bool = False) -> bool:
+    """Tell whether the samples are spread over lens and shutter, so that their mean is the blurred image.
+
+    Of a ``pinhole`` they all come through the lens's centre.
+    """
     if not samples.valid.any():
         return False
     u, v = valid_values(samples.lens_uv, samples.valid).T
     spread, middle = _mean(u * u) + _mean(v * v), (_mean(u), _mean(v))
     fits = LENS_SPREAD[0] <= spread <= LENS_SPREAD[1] and max(map(abs, middle)) <= LENS_OFFSET
+    if pinhole:
+        fits = spread == 0.0
     if not fits or not camera.shutter_duration or not samples.motion.any():
         return fits
     time = (valid_values(samples.time, samples.valid) - np.float32(camera.shutter_centre)) / np.float32(
