@@ -44,7 +44,7 @@ LEAST_PROXY = 1 / 64
 
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
-DEFAULT_LAYERS = 4
+DEFAULT_LAYERS = 5
 """Layers of a buffer of samples."""
 MOST_LAYERS = 12
 """Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""

@@ -33,6 +33,9 @@ WINDOW_AXES = 6.0, 1.5, 2.8
 """Half lengths, px, of windows along an edge, across it, and where slopes have no direction."""
 SLOPE_HALF, SHARE_HALF = 1, 2
 """Half widths, px, of the boxes, applied twice, over which slopes and the share of sharp samples are averaged."""
+TINY = np.float32(1e-6)
+MARGIN = 2 * WINDOW_REACH
+"""Rows beyond those of sharp samples that take part: boxes and windows reach no farther together."""
 
 
 class PlacedSamples(NamedTuple):
@@ -89,25 +92,28 @@ def keep_edges(layer: Image, sharp: SharpSamples, floor: float) -> None:
     floor : float
         Brightness below which noise does not get less.
     """
-    # Find what the layer lacks, and which way its edges run.
+    # Take the rows around sharp samples.
+    rows = np.flatnonzero(sharp.count.any(axis=1))
+    band = slice(max(int(rows[0]) - MARGIN, 0), int(rows[-1]) + 1 + MARGIN)
+    layer, (total, count, every) = layer[band], (each[band] for each in sharp)
+    # Find what the layer lacks there, and which way its edges run.
     height, shape = len(layer), layer.shape[:2]
     logarithm, lacking = np.empty(shape, np.float32), np.empty((*shape, 3), np.float32)
-    given = layer, sharp.total, sharp.count, floor, LEAST_SHARE
+    given = layer, total, count, floor, LEAST_SHARE
     for_bands(_edge_kernels.find_lacking, height, *given, logarithm, lacking)
     products = np.empty((3, *shape), np.float32)
     for_bands(_edge_kernels.multiply_slopes, height, logarithm, products)
     products = np.stack([box_blurred(each, SLOPE_HALF, times=2) for each in products])
     # Average along edges, and see how much is lost of a slope, less what is noise.
     mean, variance = np.zeros_like(lacking), np.empty(shape, np.float32)
-    given = lacking, sharp.count, products, LEAST_SLOPE, WINDOW_REACH, WINDOW_AXES
-    for_bands(_edge_kernels.steered_means, height, *given, mean, variance)
-    edge = (variance != UNSTEERED) & (sharp.count > 0.0)
+    windows = lacking, count, products, LEAST_SLOPE, WINDOW_REACH, WINDOW_AXES
+    for_bands(_edge_kernels.steered_means, height, *windows, mean, variance)
+    edge = (variance != UNSTEERED) & (count > 0.0)
     slope = (products[0] + products[2])[edge].astype(np.float64)
     lost = np.square(mean[edge], dtype=np.float64).sum(axis=-1) - variance[edge]
     power = float(slope @ lost) / max(float(slope @ slope), 1e-30)
     if power <= 0.0:
         return
     # Add as much of it as is believed, where the layer is sharp.
-    share = box_blurred(sharp.count, SHARE_HALF, times=2)
-    share /= np.maximum(box_blurred(sharp.every, SHARE_HALF, times=2), np.float32(1e-6))
+    share = box_blurred(count, SHARE_HALF, times=2) / np.maximum(box_blurred(every, SHARE_HALF, times=2), TINY)
     for_bands(_edge_kernels.add_edges, height, layer, mean, variance, products, np.minimum(share, 1.0), power, floor)

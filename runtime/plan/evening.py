@@ -45,7 +45,7 @@ def evened(pixel_sets: Sequence[Pixels], n_layers: int) -> list[Pixels]:
     # Find the layer of each sample that met something, and, layer by layer, the area that each stands for.
     met = [np.where(each.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1)) for each in pixel_sets]
     labelled = [(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)]
-    layering = Layering.equal(labelled, n_layers, 0.0)
+    layering = Layering.crowded(labelled, n_layers, 0.0)
     layer = [np.where(there < 0, there, layering.members(labels, there).layer) for labels, there in labelled]
     shifts = [np.ascontiguousarray(each.labels.shift) for each in pixel_sets]
     areas = [np.zeros(there.shape, np.float32) for there in met]

@@ -24,6 +24,9 @@ STRAY_STRETCH = 2.0
 of a millimetre would put all else into one layer. Such pixels go to the first or the last layer."""
 RANGE_PIXELS = 1 << 16
 """About so many pixels are looked at to find them."""
+CROWDING, N_BINS = 0.25, 512
+"""Of the layers of samples so large a share is given out by the number of pixels, in steps of the range; the rest by
+parallax. All by parallax, most of a frame may lie in one layer; all by number, a small thing shares one with others."""
 N_STEPS = 64
 """Equal steps of parallax between whose borders the cuts are chosen."""
 
@@ -72,6 +75,17 @@ class Layering:
     def equal(cls, labelled: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
         """Divide the range of depths of some pixels, sets of labels and variants, into equal layers."""
         return cls._of_borders(np.linspace(*_range(labelled), n_layers + 1), softness)
+
+    @classmethod
+    def crowded(cls, labelled: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
+        """Divide the range of depths of some pixels into layers that are thinner where more of them lie."""
+        low, high = _range(labelled)
+        if n_layers == 1 or not high > low:
+            return cls()
+        counts, borders = np.histogram(np.clip(_nearness(labelled), low, high), N_BINS, (low, high))
+        share = (1.0 - CROWDING) / N_BINS + CROWDING * counts / max(counts.sum(), 1)
+        below = np.concatenate([[0.0], np.cumsum(share)])
+        return cls._of_borders(np.interp(np.linspace(0.0, below[-1], n_layers + 1), below, borders), softness)
 
     @classmethod
     def fitted(
@@ -131,13 +145,18 @@ def _range(labelled: Sequence[Labelled]) -> tuple[float, float]:
 
 def _inner_range(labelled: Sequence[Labelled]) -> tuple[float, float]:
     """Return the range of ``-1 / depth`` without a small share of the drawn pixels at either end."""
+    nearness = np.sort(_nearness(labelled))
+    if not len(nearness):
+        return 0.0, 0.0
+    cut = int(STRAY_SHARE * len(nearness))
+    return float(nearness[cut]), float(nearness[len(nearness) - 1 - cut])
+
+
+def _nearness(labelled: Sequence[Labelled]) -> DoubleArray:
+    """Return ``-1 / depth`` of drawn pixels, of about `RANGE_PIXELS` of each set, in a list."""
     found = []
     for labels, variant in labelled:
         step = max(1, math.isqrt(variant.size // RANGE_PIXELS))
         depth = labels.view.depth[::step, ::step]
         found.append(-1.0 / depth[variant[::step, ::step] >= 0].astype(np.float64))
-    nearness = np.sort(np.concatenate(found))
-    if not len(nearness):
-        return 0.0, 0.0
-    cut = int(STRAY_SHARE * len(nearness))
-    return float(nearness[cut]), float(nearness[len(nearness) - 1 - cut])
+    return np.concatenate(found)

@@ -344,7 +344,7 @@ def _divide(
     ]
     lists = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True) if each.is_list]
     if stochastic:
-        return Layering.equal(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
+        return Layering.crowded(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
     return Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
 
 
