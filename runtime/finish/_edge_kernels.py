@@ -150,6 +150,7 @@ def steered_means(begin, end, lacking, count, products, least_slope, reach, axes
             xx, xy, yy = products[0, row, col], products[1, row, col], products[2, row, col]
             if xx + yy < np.float32(least_slope) ** 2:
                 continue
+            # Turn the window along the edge, and sum up what lies in it.
             xx, xy, yy = _steered(xx, xy, yy, along, across, even)
             samples, red, green, blue, squares = zero, zero, zero, zero, zero
             for y in range(max(row - reach, 0), min(row + reach + 1, height)):
@@ -165,6 +166,7 @@ def steered_means(begin, end, lacking, count, products, least_slope, reach, axes
                     samples += weight
                     red, green, blue = red + weight * r, green + weight * g, blue + weight * b
                     squares += weight * weight * (r * r + g * g + b * b)
+            # Divide by the weight; without a sample nothing is known.
             if samples > zero:
                 mean[row, col, 0], mean[row, col, 1] = red / samples, green / samples
                 mean[row, col, 2] = blue / samples

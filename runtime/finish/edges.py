@@ -57,10 +57,10 @@ class PlacedSamples(NamedTuple):
 
 
 class SharpSamples(NamedTuple):
-    """The sharp samples of a layer: sums of their colours (H, W, 3), their number (H, W), and that of all of it."""
+    """The sharp samples of a layer: sums of their colours (H, W, 3) and shares (H, W), and the shares of all of it."""
 
     total: Image
-    count: Image
+    share: Image
     every: Image
 
 
@@ -78,7 +78,7 @@ def sharp_samples(samples: Sequence[PlacedSamples], number: int) -> SharpSamples
     found = SharpSamples(np.zeros((*shape, 3), np.float32), *np.zeros((2, *shape), np.float32))
     for each in samples:
         for_bands(_edge_kernels.add_sharp, shape[0], *each, number, SHARP_REACH, *found)
-    return found if found.count.any() else None
+    return found if found.share.any() else None
 
 
 def keep_edges(layer: Image, sharp: SharpSamples, floor: float) -> None:
@@ -93,7 +93,7 @@ def keep_edges(layer: Image, sharp: SharpSamples, floor: float) -> None:
         Brightness below which noise does not get less.
     """
     # Take the rows around sharp samples.
-    rows = np.flatnonzero(sharp.count.any(axis=1))
+    rows = np.flatnonzero(sharp.share.any(axis=1))
     band = slice(max(int(rows[0]) - MARGIN, 0), int(rows[-1]) + 1 + MARGIN)
     layer, (total, count, every) = layer[band], (each[band] for each in sharp)
     # Find what the layer lacks there, and which way its edges run.
@@ -115,5 +115,5 @@ def keep_edges(layer: Image, sharp: SharpSamples, floor: float) -> None:
     if power <= 0.0:
         return
     # Add as much of it as is believed, where the layer is sharp.
-    share = box_blurred(count, SHARE_HALF, times=2) / np.maximum(box_blurred(every, SHARE_HALF, times=2), TINY)
-    for_bands(_edge_kernels.add_edges, height, layer, mean, variance, products, np.minimum(share, 1.0), power, floor)
+    near = box_blurred(count, SHARE_HALF, times=2) / np.maximum(box_blurred(every, SHARE_HALF, times=2), TINY)
+    for_bands(_edge_kernels.add_edges, height, layer, mean, variance, products, np.minimum(near, 1.0), power, floor)

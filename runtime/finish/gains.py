@@ -28,8 +28,8 @@ bright."""
 WHOLE = SURROUNDINGS * SCALES[0] // BLOCK
 """Rows and columns of blocks are multiples of so many, so that all windows are of whole blocks."""
 WIDEST = 6.0 * BLOCK
-"""CoC radius, px, up to which gains of the finest scale are believed in full; beyond, in inverse proportion. What is out
-of focus varies slowly: more is seen there of noise that few bright samples make than of any bias."""
+"""CoC radius, px, up to which gains of the finest scale are believed in full; beyond, in inverse proportion. What is
+out of focus varies slowly: more is seen there of noise that few bright samples make than of any bias."""
 LARGEST_GAIN = 4.0
 TINY = np.float32(1e-37)
 

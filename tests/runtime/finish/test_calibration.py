@@ -5,7 +5,8 @@ from threads import for_thread_counts
 import spreadlets as sp
 from spreadlets.errors import InvalidParameterError
 from spreadlets.runtime.finish.calibration import NOWHERE, calibrated, takes_whole_lens
-from spreadlets.runtime.finish.gains import BLOCK, SCALES, believed_gains
+from spreadlets.runtime.finish.edges import PlacedSamples
+from spreadlets.runtime.finish.gains import BLOCK, SCALES, WIDEST, believed_gains
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
@@ -27,11 +28,17 @@ def texture(rng):
     return image
 
 
-def of_one_layer(image, samples, valid=None):
+def placed(colours, place, coc=8.0):
+    """Samples of one blur that are still."""
+    shape = colours.shape[:2]
+    return PlacedSamples(colours, place, np.full(shape, coc, np.float32), np.zeros(shape, np.float32))
+
+
+def of_one_layer(image, samples, valid=None, coc=8.0):
     """Calibrate an image of a single layer."""
     valid = np.ones((*image.shape[:2], len(samples)), bool) if valid is None else valid
     places = [np.where(valid[:, :, k], np.float32(0.0), NOWHERE) for k in range(len(samples))]
-    return calibrated([(0, image)], list(zip(samples, places, strict=True)))
+    return calibrated([(0, image)], [placed(*each, coc) for each in zip(samples, places, strict=True)])
 
 
 def test_a_smooth_bias_is_taken_out_and_a_right_image_stays():
@@ -80,7 +87,8 @@ def two_layers(rng, cover, n=4):
     """Samples, with their places, of a red layer that covers part of each pixel, and of a green one behind."""
     near = rng.random((n, SIZE, SIZE)) < cover
     colours = np.where(near[..., None], (1.0, 0.1, 0.1, 1.0), (0.1, 1.0, 0.1, 1.0)).astype(np.float32)
-    return list(zip(colours, np.where(near, np.float32(0.0), np.float32(1.0)), strict=True))
+    places = np.where(near, np.float32(0.0), np.float32(1.0))
+    return [placed(*each) for each in zip(colours, places, strict=True)]
 
 
 def seen(cover, red=1.0):
@@ -99,7 +107,7 @@ def test_each_layer_is_brought_to_its_own_samples_whatever_hides_it():
     samples = two_layers(np.random.default_rng(0), cover)
     truth = sum(layer for _, layer in seen(cover))
     before = sum(layer for _, layer in seen(cover, bias))
-    apart, together = calibrated(seen(cover, bias), samples), of_one_layer(before, [each for each, _ in samples])
+    apart, together = calibrated(seen(cover, bias), samples), of_one_layer(before, [each.radiance for each in samples])
     left, of_whole, at_first = (np.abs(each - truth)[..., 0].mean() for each in (apart, together, before))
     assert left < 0.25 * at_first and left < 0.5 * of_whole
 
@@ -128,6 +136,30 @@ def test_a_fine_bias_is_taken_out_where_many_samples_carry_the_noise_and_not_whe
         image = of_one_layer(image, samples)
         left[few] = np.abs(image - truth).mean() / before
     assert left[False] < 0.7 and left[True] < 1.0
+
+
+def test_a_fine_bias_is_doubted_where_the_layer_is_far_out_of_focus():
+    """By the ratio of the CoC radius to that up to which it is believed; coarser gains are not doubted."""
+    rows, cols = np.indices((64, 64))
+    fine = 1.0 + 0.2 * ((rows // 2 + cols // 2) % 2)
+    nothing, one = np.zeros((1, 64, 64), np.float32), np.ones((1, 64, 64), np.float32)
+    sums = np.stack([fine[None].astype(np.float32), one, nothing, nothing, nothing])
+    for scale in (BLOCK, SCALES[0]):
+        sharp = believed_gains(sums, [scale], np.full((64, 64), 0.5 * WIDEST, np.float32))
+        wide = believed_gains(sums, [scale], np.full((64, 64), 4.0 * WIDEST, np.float32))
+        assert np.allclose(sharp, believed_gains(sums, [scale]))
+        assert np.allclose(wide - 1.0, (sharp - 1.0) / (4.0 if scale == BLOCK else 1.0), atol=1e-6)
+
+
+def test_samples_are_told_to_be_out_of_focus_by_their_own_layer():
+    """A fine bias is left more where the CoC is wide."""
+    rng = np.random.default_rng(0)
+    rows, cols = np.indices((SIZE, SIZE))
+    truth, bias = texture(rng), np.float32(1.0 + 0.15 * np.sin(rows / 2.0) * np.sin(cols / 2.0))[..., None]
+    samples, image = noisy(truth, rng, n=8, sigma=0.2), truth.copy()
+    image[..., :3] *= bias
+    near, far = (np.abs(of_one_layer(image, samples, coc=coc) - truth).mean() for coc in (8.0, 4 * WIDEST))
+    assert near < 0.93 * far
 
 
 def test_missing_samples_and_dark_images_count_for_nothing():
@@ -185,6 +217,13 @@ def test_samples_must_be_spread_over_lens_and_shutter(changes, whole):
     assert takes_whole_lens(buffer(np.random.default_rng(4), **changes), CAMERA) == whole
 
 
+def test_samples_of_a_pinhole_come_through_the_centre_of_the_lens():
+    rng = np.random.default_rng(4)
+    assert takes_whole_lens(buffer(rng, lens=0.0), CAMERA, pinhole=True)
+    assert not takes_whole_lens(buffer(rng), CAMERA, pinhole=True)
+    assert not takes_whole_lens(buffer(rng, lens=0.0, time=0.0), CAMERA, pinhole=True)
+
+
 @pytest.mark.parametrize(
     ("options", "changes", "left_out"),
     [
@@ -193,6 +232,7 @@ def test_samples_must_be_spread_over_lens_and_shutter(changes, whole):
         ({"defocus": False}, {}, True),
         ({"motion": False}, {}, True),
         ({}, {"lens": 0.0}, True),
+        ({"defocus": False}, {"lens": 0.0}, False),
     ],
 )
 def test_the_report_says_where_it_is_left_out(small_combined, options, changes, left_out):
