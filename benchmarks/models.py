@@ -11,6 +11,7 @@ the small ones that ship. Writes models.txt, models_sparsity.txt and models_fram
 """
 
 import itertools
+import math
 import tempfile
 import time
 import warnings
@@ -68,7 +69,7 @@ WIDE = {
 PRICES = (0.125, 0.25, 0.5, 1.0, 2.0)
 """Loss of similarity for a sparsity that is lower by 1, in place of `precompute.sparsify.fitted.PRICE`."""
 
-UNBOUND = {"WORST_LOSS": 0.2, "MISJUDGED_LOSS": 1.0, "THIN_RADIUS": 0.0, "DIRECT_COST": 1.0}
+UNBOUND = {"WORST_LOSS": 0.2, "MISJUDGED_LOSS": 1.0, "WORST_L1": math.inf, "THIN_RADIUS": 0.0, "DIRECT_COST": 1.0}
 UNBOUND_DIRECT = {"DIRECT_THRESHOLDS": (1e-3, 1e-2, 0.1), "MAX_LEFT_OUT": 1.0}
 """What takes the place of constants of `precompute.sparsify.fitted` and `direct`: points count alike, drawn directly or
 not, and the mean alone counts, as in the figures of LKS."""

@@ -12,7 +12,7 @@ from spreadlets.models import TYPES, option_names
 from spreadlets.precompute.models.registry import REGISTRY
 from spreadlets.psf.model import PsfGrid, get_model
 
-ALGORITHM_VERSION = 6
+ALGORITHM_VERSION = 7
 """Raise it when a change of tracing or sparsification makes finished cells of an interrupted build outdated."""
 
 

@@ -123,6 +123,24 @@ def test_a_spreadlet_that_was_misjudged_gets_more_points(monkeypatch):
     assert again["n_points"] > plain["n_points"] and again["ssim"] > plain["ssim"]
 
 
+def test_of_a_narrow_psf_little_light_goes_astray_in_any_direction(monkeypatch):
+    """A slanted path fills a tenth of its box: the similarity alone would let a seventh of the light go astray."""
+    paths = [capsule_psf(4.0, 110.0, angle) for angle in (0.3, np.pi / 4)]
+    found = [sparsify(psf)[1] for psf in paths]
+    monkeypatch.setattr(fitted_module, "WORST_L1", 1.0)
+    alone = [sparsify(psf)[1] for psf in paths]
+    for given, without in zip(found, alone, strict=True):
+        assert given["l1"] < 0.11 < 0.13 < without["l1"]
+
+
+def test_the_light_that_goes_astray_counts_only_in_what_is_narrow_and_not_waited_for(monkeypatch):
+    given = (capsule_psf(5.0, 20.0, 0.3), "fit"), (disc_coverage(9.0), "fit"), (capsule_psf(5.0, 20.0, 0.3), "quick")
+    before = [sparsify(psf, sparsifier=name)[1]["n_points"] for psf, name in given]
+    monkeypatch.setattr(fitted_module, "WORST_L1", 0.03)
+    narrow, wide, quick = (sparsify(psf, sparsifier=name)[1]["n_points"] for psf, name in given)
+    assert narrow > before[0] and (wide, quick) == (before[1], before[2])
+
+
 def test_direct_pixels_are_rounded_to_few_bits_without_loss_of_energy():
     rng = np.random.default_rng(5)
     value = np.concatenate([np.full((300, 2), 0.003), rng.random((100, 2)) * [0.01, 5.0]])
