@@ -4,6 +4,7 @@ import sys
 import time
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from spreadlets import workers
 from spreadlets.garbage import collect_rarely
@@ -15,6 +16,13 @@ collect_rarely()
 
 # Databases that tests build are compared with the exact PSF at a few places: a thousand take many seconds.
 between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread():
+    """As in a build: the threads of small matrix products would only wait for each other."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture(scope="session")

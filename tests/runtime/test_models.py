@@ -26,6 +26,9 @@ CAMERA = ThinLens(
 )
 """Wide open, so that a small frame is blurred by many pixels; glass is built for a camera that glass can serve."""
 
+FEW_RAYS = 100_000
+"""For PSFs in full: a million takes 10 s."""
+
 GLASS = ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=5.0, focus_distance_m=4.0)
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="builds databases")
@@ -138,7 +141,7 @@ def test_a_lens_fringes_a_spot_with_colour_by_side(lens):
     "name, coc", [("triangles", np.linspace(-11, 11, SIZE)), ("lens", np.repeat([5, -5], SIZE // 2))]
 )
 def test_spreadlets_agree_with_the_same_psfs_in_full(request, monkeypatch, name, coc):
-    monkeypatch.setattr(registry, "trace_psf", partial(registry.trace_psf, rays=100_000))  # a million takes 10 s
+    monkeypatch.setattr(registry, "trace_psf", partial(registry.trace_psf, rays=FEW_RAYS))
     database, frame = request.getfixturevalue(name), noise_frame(coc)
     run = quiet if name == "lens" else lambda frame, database, **options: synthesize(frame, CAMERA, database, **options)
     sparse, dense = run(frame, database), run(frame, database, method="dense")
@@ -146,7 +149,8 @@ def test_spreadlets_agree_with_the_same_psfs_in_full(request, monkeypatch, name,
 
 
 @pytest.mark.filterwarnings("ignore:the focus is at")
-def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog):
+def test_fog_agrees_with_the_same_psfs_in_full_and_hides_what_is_far(fog, monkeypatch):
+    monkeypatch.setattr(registry, "trace_psf", partial(registry.trace_psf, rays=FEW_RAYS))
     frame = Frame(noise_frame(np.zeros(SIZE)).radiance[..., :3], np.full((SIZE, SIZE), 3.0, np.float32))
     near = Frame(frame.radiance[..., :3], np.full((SIZE, SIZE), 0.05, np.float32))
     with pytest.warns(UserWarning, match="no axis 'coc'"):

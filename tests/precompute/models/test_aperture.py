@@ -59,7 +59,7 @@ def lit_points(shape, n):
     return u[lit], v[lit]
 
 
-def drawn(shape, radius, path=(0.0, 0.0), weights=(1.0,), side=1, n=1344):
+def drawn(shape, radius, path=(0.0, 0.0), weights=(1.0,), side=1, n=672):
     """Draw the lens point by point, moved along a path with the weights of the shutter's times.
 
     By default a whole number of points lies across each pixel of a lens of radius 3 or 14.
@@ -194,7 +194,7 @@ def test_stored_poses_give_every_direction_on_both_sides(shape, curve, angle, in
     psf = pose_psf(grid, cell, [[6.0, 6.0], [24.0, 24.0]], angle, in_front)
     weights = np.ones(120) if curve is None else (np.arange(120) + 0.5) / 120
     path = (24.0 * np.cos(angle), 24.0 * np.sin(angle))
-    expected = drawn(SHAPES[shape], 6.0, path, weights, side=-1 if in_front else 1, n=300)
+    expected = drawn(SHAPES[shape], 6.0, path, weights, side=-1 if in_front else 1, n=120)
     # Half a step of directions moves the tip by 0.75 px, over an edge of about a quarter of the area per px.
     assert relative_l1(psf, expected) < 0.12
 

@@ -8,7 +8,7 @@ from spreadlets.runtime.composite import overlap, visibility
 
 SIZE = 160
 DEPTHS = 3.0, 3.3, 9.0
-POINTS = 24
+POINTS = 17
 
 
 def camera():
