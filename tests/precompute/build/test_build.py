@@ -166,7 +166,7 @@ def test_the_log_tells_of_every_cell_and_what_is_left(tmp_path):
 
 @pytest.mark.parametrize(("name", "value"), [("max_coc", -1.0), ("max_coc", float("inf")), ("max_motion", 0.0)])
 def test_a_range_that_is_none_is_named_as_it_was_given(tmp_path, name, value):
-    with pytest.raises(InvalidParameterError, match=f"{name} is {value}: needed is"):
+    with pytest.raises(InvalidParameterError, match=f"{name} is {value:g}: it must be finite and above 0"):
         build_database("combined", tmp_path / "a.h5", **{name: value})
     assert not any(tmp_path.iterdir())
 
