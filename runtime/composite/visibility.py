@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
-from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
+from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST, REST_OF_OPAQUE
 from spreadlets.runtime.composite.layers import CoverPart
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
@@ -37,10 +37,9 @@ class ShareBeyond:
     n_hidden : int
         Lists, at the end, of hidden pixels.
     closed : bool
-        Whether the last layer is opaque.
+        Whether the frame is opaque.
     """
 
-    kind = REST
     least = LEAST_SEEN
 
     def __init__(
@@ -52,6 +51,7 @@ class ShareBeyond:
         *,
         closed: bool,
     ) -> None:
+        self.kind = REST_OF_OPAQUE if closed else REST
         covers = [layers.cover_part(*each) for each in zip(plan.members, pixel_sets, strict=True)]
         n_seen = len(covers) - n_hidden
         self.cover = layers.Cover(covers[0], covers[1:n_seen], covers[n_seen:], known)

@@ -15,7 +15,7 @@ from spreadlets.errors import InvalidParameterError
 from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.images import write_image
 from spreadlets.runtime.composite import _visibility_kernels
-from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
+from spreadlets.runtime.composite.composite import COUNT, LAST, REST, REST_OF_OPAQUE, add_layer
 from spreadlets.runtime.composite.layers import (
     Cover,
     Moments,
@@ -305,6 +305,18 @@ def behind_hole(colour, seen):
     image = np.zeros((*seen.shape, 4), np.float32)
     add_layer(image, sums, (0, 0), REST, seen=np.zeros_like(sums[..., 3]))
     return image
+
+
+@pytest.mark.interpreted
+def test_an_opaque_layer_does_not_let_light_through_by_an_error_of_its_splats():
+    weight = np.float32([[1.01, 1.0, 0.995, 0.99, 0.97, 0.5]])
+    sums, seen = np.stack([0.2 * weight] * 3 + [weight], axis=2), np.ones_like(weight)
+    opaque, partly = np.zeros((2, *weight.shape, 4), np.float32)
+    add_layer(opaque, sums, (0, 0), REST_OF_OPAQUE, seen=seen)
+    add_layer(partly, sums, (0, 0), REST, seen=seen)
+    assert np.allclose(opaque[0, :, 3], [1, 1, 1, 1, 0.97, 0.5], atol=1e-6)
+    assert np.allclose(partly[0, :, 3], [1, 1, 0.995, 0.99, 0.97, 0.5], atol=1e-6)
+    assert np.allclose(opaque[..., :3], 0.2 * opaque[..., 3:])
 
 
 def hole(shape, rows, cols):
