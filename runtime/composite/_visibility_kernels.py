@@ -9,6 +9,11 @@ from spreadlets.compiled import helper, kernel
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
 """Columns of `layer_moments`, all sums; the largest blur, px, comes behind them."""
 
+LEAST_UNCOVERED = np.float32(0.05)
+"""Share of a pixel that a layer leaves uncovered, and not just because its share is not known better."""
+FARTHEST_LOOK = 12
+"""Px up to which it is looked for from each pixel; what blurs farther differs less from its neighbours."""
+
 
 @helper
 def _add_moments(total, weight, coc, path, motion):
@@ -144,6 +149,62 @@ def divide_shares(begin, end, nearer, beyond, around, least):
             if hidden + left < least:
                 hidden, left = around[0][row, col], around[1][row, col]
             beyond[row, col] = left / max(hidden + left, least)
+
+
+@kernel
+def uncovered_distances(begin, end, nearer, beyond, distance):
+    """Fill ``distance`` (H, W), int32, with the pixels from each one along its row to one that a layer does not cover.
+
+    Parameters
+    ----------
+    nearer, beyond : ndarray of shape (H, W), float32
+        What is not the layer's of each pixel.
+    distance : ndarray of shape (H, W), int32
+        Filled.
+    """
+    width = distance.shape[1]
+    for row in range(begin, end):
+        for ahead in range(2):
+            last = FARTHEST_LOOK + 1
+            for n in range(width):
+                col = width - 1 - n if ahead else n
+                last = 0 if nearer[row, col] + beyond[row, col] > LEAST_UNCOVERED else last + 1
+                distance[row, col] = min(distance[row, col], last) if ahead else last
+
+
+@helper
+def _reaches_uncovered(distance, row, col, reach):
+    """Return whether a pixel that a layer does not cover lies within a square around a pixel."""
+    height = len(distance)
+    for step in range(reach + 1):
+        if distance[max(row - step, 0), col] <= reach or distance[min(row + step, height - 1), col] <= reach:
+            return True
+    return False
+
+
+@kernel
+def hide_unreached(begin, end, distance, place, blur, number, seen):
+    """Let nothing be seen beyond a layer at its pixels whose blur does not reach what it leaves uncovered.
+
+    If their splats fall short of 1 there, neighbours blur less than they do.
+
+    Parameters
+    ----------
+    distance : ndarray of shape (H, W), int32
+        See `uncovered_distances`.
+    place, blur : ndarray of shape (H, W), float32
+        Of the pixels of a frame: see `cover_planes`; and how far they blur, px.
+    number : int
+        The layer.
+    seen : ndarray of shape (H, W), float32
+        Changed to 0 there.
+    """
+    for row in range(begin, end):
+        for col in range(seen.shape[1]):
+            own = _share_before(place[row, col], number + 1) - _share_before(place[row, col], number)
+            reach = int(math.ceil(blur[row, col])) + 1
+            if own > np.float32(0.0) and reach <= FARTHEST_LOOK and not _reaches_uncovered(distance, row, col, reach):
+                seen[row, col] = np.float32(0.0)
 
 
 @kernel

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import cleared
@@ -20,6 +20,9 @@ from spreadlets.runtime.plan.layering import Membership
 
 LEAST_REST = np.float32(1e-6)
 """Share of a pixel that is left of it by no more than rounding."""
+BLOCKS_AROUND, FARTHEST_BLOCKS = 3.0, 24.0
+"""Blocks of pixels beyond what blurs farthest in a layer that are looked at, and beyond its mean blur at most: as wide
+as a disc may be, see `runtime.composite._sweep_kernels`."""
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
 """Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
 MOST_PADDING, LEAST_PADDING = 2, 1024
@@ -103,12 +106,15 @@ class Cover(NamedTuple):
         Lists; what they would cover if nothing were nearer.
     known : ndarray of shape (H, W), uint64
         Bits of the layers in which nothing of a pixel is unknown, even where nearer ones hide it.
+    blur : ndarray of shape (H, W), float32, or empty
+        How far the pixels of the frame blur, px, if that is to be reckoned with.
     """
 
     frame: CoverPart
     seen: Sequence[CoverPart]
     hidden: Sequence[CoverPart]
     known: npt.NDArray[np.uint64]
+    blur: Image = NOTHING
 
 
 def cover_part(members: Membership, pixels: Pixels) -> CoverPart:
@@ -140,12 +146,19 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     # Blur both as the layer is, and where that meets neither, a little farther than any of its pixels blurs.
     blur = moments.disc_radius(), moments.motion
     factor = reduction(*blur)
-    farthest = max(moments.farthest, blur[0]) + 2.0 * factor + 1.0
     hidden, left = (reduced_blur(each, *blur, factor) for each in (nearer, beyond))
-    around = tuple(reduced_blur(each, farthest, (0.0, 0.0), factor) for each in (nearer, beyond))
+    farther = min(max(moments.farthest - blur[0], 0.0) / factor + BLOCKS_AROUND, FARTHEST_BLOCKS)
+    around = tuple(reduced_blur(each, farther, (0.0, 0.0), 1) for each in (hidden, left))
     # Divide them.
     for_bands(_visibility_kernels.divide_shares, len(left), hidden, left, around, LEAST_REST)
-    return enlarged(left, cover.known.shape, factor)
+    seen = enlarged(left, cover.known.shape, factor)
+    # What a pixel's own blur does not reach is not seen there.
+    if cover.blur.size:
+        distance = np.empty(seen.shape, np.int32)
+        for_bands(_visibility_kernels.uncovered_distances, len(distance), nearer, beyond, distance)
+        frame = distance, cover.frame.place, cover.blur
+        for_bands(_visibility_kernels.hide_unreached, len(seen), *frame, number, seen)
+    return seen
 
 
 def _padding(passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments) -> float:

@@ -54,7 +54,10 @@ class ShareBeyond:
         self.kind = REST_OF_OPAQUE if closed else REST
         covers = [layers.cover_part(*each) for each in zip(plan.members, pixel_sets, strict=True)]
         n_seen = len(covers) - n_hidden
-        self.cover = layers.Cover(covers[0], covers[1:n_seen], covers[n_seen:], known)
+        labels = pixel_sets[0].labels
+        # Of what is not opaque, some is seen through it everywhere.
+        blur = np.abs(labels.coc) + np.float32(0.5) * labels.length if closed else NOTHING
+        self.cover = layers.Cover(covers[0], covers[1:n_seen], covers[n_seen:], known, blur)
         self.moments = layers.layer_moments(
             [(each, each.labels.whole_path, members) for each, members in zip(pixel_sets, plan.members, strict=True)],
             plan.n_layers,

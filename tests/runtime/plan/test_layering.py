@@ -254,6 +254,19 @@ def test_where_a_layer_leaves_nothing_within_its_mean_blur_pixels_that_blur_fart
 
 
 @pytest.mark.interpreted
+def test_pixels_whose_own_blur_does_not_reach_beyond_their_layer_let_nothing_through():
+    """A layer of half a frame blurs by 8 px in the mean; its upper rows by 2, its lower ones by 40."""
+    layer = np.ones((32, 40), np.int32)
+    layer[:, :20] = 0
+    blur = np.where(np.arange(32)[:, None] < 16, 2.0, 40.0) * np.ones((1, 40))
+    part = cover_part(members_of(layer), pixels_of(np.ones((32, 40, 4), np.float32), NOTHING))
+    known, moments = np.ones(layer.shape, np.uint64), Moments(8.0, 64.0, 0.0, (0.0, 0.0), 40.0)
+    seen = share_beyond(Cover(part, [], [], known, blur.astype(np.float32)), 0, moments)
+    assert (seen[:16, :17] == 0.0).all(), "three px and more from the edge"
+    assert np.allclose(seen[:16, 17:], 1.0) and np.allclose(seen[16:], 1.0)
+
+
+@pytest.mark.interpreted
 def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     layer = np.zeros((9, 9), np.int32)
     layer[4, 4], layer[6, 2] = 1, layering.BEHIND_ALL
