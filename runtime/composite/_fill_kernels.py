@@ -5,9 +5,9 @@ import numpy as np
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import add, load, multiply
 
-COVERAGE, COUNT, REST, REST_OF_OPAQUE, LAST = range(5)
-"""What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave, the same of
-opaque pixels; their weight alone."""
+COVERAGE, COUNT, REST, LAST = range(4)
+"""What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
+alone."""
 
 NONE = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
 """The sums of a pixel outside the canvas."""
@@ -15,9 +15,6 @@ _U = np.uint64
 LEAST_ALPHA = np.float32(1e-3)
 """Alpha of a layer up to which nothing is seen of it."""
 
-SPLAT_ERROR = np.float32(0.01)
-"""Measure, of a pixel's 1, by which the sums of an opaque surface may fall short of it, as neighbours' PSFs differ:
-what shines behind would be seen through it as speckle."""
 SOLVER_ERROR = np.float32(0.005)
 """Measure, of a pixel's 1, up to which sums may be errors of the Poisson solver and the spreadlets' far fields."""
 
@@ -38,11 +35,8 @@ def _measure(weight, seen, kind):
         return own
     if kind == COUNT:
         return own + seen
-    if kind == REST or kind == REST_OF_OPAQUE:
-        left = max(np.float32(1.0) - own, np.float32(0.0))
-        if kind == REST_OF_OPAQUE:
-            left *= min(max(left / SPLAT_ERROR - np.float32(1.0), np.float32(0.0)), np.float32(1.0))
-        return own + left * seen
+    if kind == REST:
+        return own + max(np.float32(1.0) - own, np.float32(0.0)) * seen
     return max(own, np.float32(1.0))
 
 
@@ -89,7 +83,7 @@ def add_layer(begin, end, image, beyond, padded, top, left, seen, kind):
     seen : ndarray of shape (H, W) or (0, 0), float32
         Number of samples that passed the layer, or share of what it leaves that lies beyond; empty if all does.
     kind : int
-        `COVERAGE`, `COUNT`, `REST`, `REST_OF_OPAQUE` or `LAST`; the last layer is opaque.
+        `COVERAGE`, `COUNT`, `REST` or `LAST`; the last layer is opaque.
     """
     rows, cols = padded.shape[:2]
     one = np.float32(1.0)

@@ -11,8 +11,10 @@ MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion
 
 LEAST_UNCOVERED = np.float32(0.05)
 """Share of a pixel that a layer leaves uncovered, and not just because its share is not known better."""
-FARTHEST_LOOK = 12
-"""Px up to which it is looked for from each pixel; what blurs farther differs less from its neighbours."""
+MIXED = np.float32(1e-3)
+"""The same of a pixel that shows some of what lies beyond itself."""
+ROWS_LOOKED_AT = 8
+"""About so many rows, to either side of a pixel, tell whether something uncovered lies as near as the pixel blurs."""
 
 
 @helper
@@ -165,7 +167,7 @@ def uncovered_distances(begin, end, nearer, beyond, distance):
     width = distance.shape[1]
     for row in range(begin, end):
         for ahead in range(2):
-            last = FARTHEST_LOOK + 1
+            last = width
             for n in range(width):
                 col = width - 1 - n if ahead else n
                 last = 0 if nearer[row, col] + beyond[row, col] > LEAST_UNCOVERED else last + 1
@@ -176,20 +178,22 @@ def uncovered_distances(begin, end, nearer, beyond, distance):
 def _reaches_uncovered(distance, row, col, reach):
     """Return whether a pixel that a layer does not cover lies within a square around a pixel."""
     height = len(distance)
-    for step in range(reach + 1):
+    for step in range(0, reach + 1, 1 + reach // ROWS_LOOKED_AT):
         if distance[max(row - step, 0), col] <= reach or distance[min(row + step, height - 1), col] <= reach:
             return True
     return False
 
 
 @kernel
-def hide_unreached(begin, end, distance, place, blur, number, seen):
+def hide_unreached(begin, end, nearer, beyond, distance, place, blur, number, seen):
     """Let nothing be seen beyond a layer at its pixels whose blur does not reach what it leaves uncovered.
 
     If their splats fall short of 1 there, neighbours blur less than they do.
 
     Parameters
     ----------
+    nearer, beyond : ndarray of shape (H, W), float32
+        What is not the layer's of each pixel.
     distance : ndarray of shape (H, W), int32
         See `uncovered_distances`.
     place, blur : ndarray of shape (H, W), float32
@@ -202,8 +206,9 @@ def hide_unreached(begin, end, distance, place, blur, number, seen):
     for row in range(begin, end):
         for col in range(seen.shape[1]):
             own = _share_before(place[row, col], number + 1) - _share_before(place[row, col], number)
-            reach = int(math.ceil(blur[row, col])) + 1
-            if own > np.float32(0.0) and reach <= FARTHEST_LOOK and not _reaches_uncovered(distance, row, col, reach):
+            if own == np.float32(0.0) or nearer[row, col] + beyond[row, col] > MIXED:
+                continue
+            if not _reaches_uncovered(distance, row, col, int(math.ceil(blur[row, col])) + 1):
                 seen[row, col] = np.float32(0.0)
 
 

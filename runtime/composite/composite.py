@@ -9,7 +9,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
-from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST, REST_OF_OPAQUE
+from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
 from spreadlets.scans import count_alphas
 
 LEAST_SEEN = 0.98, 4.0
@@ -22,7 +22,7 @@ FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
 
-__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "REST_OF_OPAQUE", "add_layer", "is_opaque"]
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_opaque"]
 
 
 def add_layer(
@@ -44,7 +44,6 @@ def add_layer(
     - `COVERAGE`: 1; nothing was hidden.
     - `REST`: the layer's own weight, and of what that leaves of 1 the share ``seen`` that lies beyond the layer; the
       other share was hidden by nearer ones. So what was seen stands for what was hidden beside it.
-    - `REST_OF_OPAQUE`: the same, of pixels that are all opaque: what is left by an error of the splats is not left.
     - `COUNT`: for stochastic samples, the layer's own weight and the number ``seen`` that passed it: a sample that
       passes a layer is a hole in it (SLR section 5).
     - `LAST`: the layer's own weight; behind an opaque last layer there is nothing.

@@ -141,8 +141,8 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
         _visibility_kernels.add_listed_cover(*part, number, nearer, beyond)
     for part in cover.hidden:
         _visibility_kernels.take_hidden(*part, number, beyond)
-    given = *cover.frame[:2], cover.known, number, nearer, beyond
-    for_bands(_visibility_kernels.complete_cover, len(beyond), *given)
+    planes = *cover.frame[:2], cover.known, number, nearer, beyond
+    for_bands(_visibility_kernels.complete_cover, len(beyond), *planes)
     # Blur both as the layer is, and where that meets neither, a little farther than any of its pixels blurs.
     blur = moments.disc_radius(), moments.motion
     factor = reduction(*blur)
@@ -156,8 +156,8 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     if cover.blur.size:
         distance = np.empty(seen.shape, np.int32)
         for_bands(_visibility_kernels.uncovered_distances, len(distance), nearer, beyond, distance)
-        frame = distance, cover.frame.place, cover.blur
-        for_bands(_visibility_kernels.hide_unreached, len(seen), *frame, number, seen)
+        given = nearer, beyond, distance, cover.frame.place, cover.blur, number
+        for_bands(_visibility_kernels.hide_unreached, len(seen), *given, seen)
     return seen
 
 

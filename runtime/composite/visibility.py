@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
-from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST, REST_OF_OPAQUE
+from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
 from spreadlets.runtime.composite.layers import CoverPart
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
@@ -40,6 +40,7 @@ class ShareBeyond:
         Whether the frame is opaque.
     """
 
+    kind = REST
     least = LEAST_SEEN
 
     def __init__(
@@ -51,7 +52,6 @@ class ShareBeyond:
         *,
         closed: bool,
     ) -> None:
-        self.kind = REST_OF_OPAQUE if closed else REST
         covers = [layers.cover_part(*each) for each in zip(plan.members, pixel_sets, strict=True)]
         n_seen = len(covers) - n_hidden
         labels = pixel_sets[0].labels
