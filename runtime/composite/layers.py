@@ -149,9 +149,10 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     hidden, left = (reduced_blur(each, *blur, factor) for each in (nearer, beyond))
     farther = min(max(moments.farthest - blur[0], 0.0) / factor + BLOCKS_AROUND, FARTHEST_BLOCKS)
     around = tuple(reduced_blur(each, farther, (0.0, 0.0), 1) for each in (hidden, left))
-    # Divide them.
-    for_bands(_visibility_kernels.divide_shares, len(left), hidden, left, around, LEAST_REST)
-    seen = enlarged(left, cover.known.shape, factor)
+    # Divide them: what hardly blurs is still the plane that was given, which is asked below.
+    seen = left.copy() if left is beyond else left
+    for_bands(_visibility_kernels.divide_shares, len(seen), hidden, seen, around, LEAST_REST)
+    seen = enlarged(seen, cover.known.shape, factor)
     # What a pixel's own blur does not reach is not seen there.
     if cover.blur.size:
         distance = np.empty(seen.shape, np.int32)

@@ -269,6 +269,17 @@ def test_pixels_whose_own_blur_does_not_reach_beyond_their_layer_let_nothing_thr
 
 
 @pytest.mark.interpreted
+def test_a_layer_in_focus_lets_nothing_through_either():
+    layer = np.ones((12, 16), np.int32)
+    layer[:, :8] = 0
+    part = cover_part(members_of(layer), pixels_of(np.ones((12, 16, 4), np.float32), NOTHING))
+    seen = share_beyond(
+        Cover(part, [], [], np.ones(layer.shape, np.uint64), np.zeros(layer.shape, np.float32)), 0, SHARP
+    )
+    assert (seen[:, :7] == 0.0).all() and (seen[:, 7:] == 1.0).all()
+
+
+@pytest.mark.interpreted
 def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     layer = np.zeros((9, 9), np.int32)
     layer[4, 4], layer[6, 2] = 1, layering.BEHIND_ALL
