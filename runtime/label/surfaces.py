@@ -433,7 +433,8 @@ def without_gaps(layer: Layer, place: Image) -> tuple[Layer, Image]:
     for_bands(_gap_kernels.find_gaps, height, place, thin, LEAST_GAP, ends)
     if not ends.any():
         return layer, place
-    closed, source = place.copy(), np.moveaxis(np.indices(layer.shape, np.int32), 0, -1).copy()
+    closed, source = place.copy(), np.empty((*layer.shape, 2), np.int32)
+    source[..., 0], source[..., 1] = np.ogrid[: source.shape[0], : source.shape[1]]
     _gap_kernels.close_gaps(0, height, place, ends, LEAST_GAP, closed, source)
     return _surface(layer, layer.radiance, source), closed
 

@@ -13,14 +13,16 @@ PLATEAU = 0.25
 
 
 @kernel
-def end_ramps(begin, end, depth, low, high, window, sharpened):
+def end_ramps(begin, end, depth, low, high, side, window, sharpened):
     """Give pixels on a ramp between two surfaces the depth of the one that they are nearer to.
 
     Parameters
     ----------
     depth : ndarray of shape (H, W), float32
-    low, high : ndarray of shape (H, W), float32
-        Range of the depths around each pixel; where they are equal there is no ramp, and the depth stays.
+    low, high : ndarray of shape (H / side, W / side), float32
+        Range of the depths around each block of pixels; where they are equal there is no ramp, and the depth stays.
+    side : int
+        Of these blocks, px.
     window : tuple of int
         Half-width of what is looked at, px, and the step between the pixels that are.
     sharpened : ndarray of shape (H, W), float32
@@ -30,7 +32,7 @@ def end_ramps(begin, end, depth, low, high, window, sharpened):
     half, step = window
     for row in range(begin, end):
         for col in range(width):
-            least, most = low[row, col], high[row, col]
+            least, most = low[row // side, col // side], high[row // side, col // side]
             sharpened[row, col] = depth[row, col]
             if not most > least:
                 continue
@@ -48,7 +50,7 @@ def end_ramps(begin, end, depth, low, high, window, sharpened):
 
 
 @kernel
-def weighted_medians(begin, end, depth, image, low, high, window, tolerance, refined):
+def weighted_medians(begin, end, depth, image, low, high, side, window, tolerance, refined):
     """Replace depths near edges by the median of those around, weighted by how like their colours are.
 
     Parameters
@@ -56,8 +58,10 @@ def weighted_medians(begin, end, depth, image, low, high, window, tolerance, ref
     depth : ndarray of shape (H, W), float32
     image : ndarray of shape (H, W, 3), float32
         Colours as displayed.
-    low, high : ndarray of shape (H, W), float32
-        Range of the depths around each pixel; where they are equal there is no edge, and the depth stays.
+    low, high : ndarray of shape (H / side, W / side), float32
+        Range of the depths around each block of pixels; where they are equal there is no edge, and the depth stays.
+    side : int
+        Of these blocks, px.
     window : tuple of int
         Half-width of what is looked at, px, and the step between the pixels that are.
     tolerance : float
@@ -70,7 +74,7 @@ def weighted_medians(begin, end, depth, image, low, high, window, tolerance, ref
     weights, sums = np.empty(BINS), np.empty(BINS)
     for row in range(begin, end):
         for col in range(width):
-            least, most = low[row, col], high[row, col]
+            least, most = low[row // side, col // side], high[row // side, col // side]
             refined[row, col] = depth[row, col]
             if not most > least:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Literal, get_args
 
 import numpy as np
@@ -121,37 +122,46 @@ def sharpened(inverse: FloatArray, half: int) -> FloatArray:
     ndarray of shape (H, W), float32
         Slopes, and edges that are sharp, stay as they are.
     """
-    (low, high), (farther_low, farther_high) = _range(inverse, half), _range(inverse, 2 * half)
+    side = _block_side(half)
+    (low, high), (farther_low, farther_high) = _range(inverse, half, side), _range(inverse, 2 * half, side)
     is_step = (high - low >= LEAST_EDGE) & (farther_high - farther_low <= STEEP * (high - low))
-    is_soft = _largest_step(inverse, half) < SHARP * (high - low)
+    is_soft = _largest_step(inverse, half, side) < SHARP * (high - low)
     high, found = np.where(is_step & is_soft, high, low), np.empty_like(inverse)
-    for_bands(_refine_kernels.end_ramps, len(found), inverse, low, high, _window(half), found)
+    for_bands(_refine_kernels.end_ramps, len(found), inverse, low, high, side, _window(half), found)
     return found
 
 
-def _range(values: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest values around each pixel, see `_largest`."""
-    return -_largest(-values, half), _largest(values, half)
+def _block_side(half: int) -> int:
+    """Return the side, px, of the blocks of pixels that share what lies around them, so many px to each side."""
+    return max(1, half // EXACT_HALF)
 
 
-def _largest(values: FloatArray, half: int) -> FloatArray:
-    """Return the largest values around each pixel, so many px to each side; of many, up to an eighth more."""
-    from scipy.ndimage import maximum_filter
-
-    side = max(1, half // EXACT_HALF)
-    height, width = values.shape
-    padded = np.pad(values, ((0, -height % side), (0, -width % side)), mode="edge")
-    blocks = padded.reshape(padded.shape[0] // side, side, -1, side).max(axis=1).max(axis=-1)
-    found = maximum_filter(blocks, 2 * -(-half // side) + 1)
-    return np.asarray(found.repeat(side, axis=0).repeat(side, axis=1)[:height, :width], np.float32)
+def _range(values: FloatArray, half: int, side: int) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest values around each block of pixels, see `_extreme`."""
+    return _extreme(values, half, side, np.minimum), _extreme(values, half, side, np.maximum)
 
 
-def _largest_step(values: FloatArray, half: int) -> FloatArray:
-    """Return the largest difference of neighbours around each pixel."""
+def _extreme(values: FloatArray, half: int, side: int, choose: np.ufunc) -> FloatArray:
+    """Return the least or the largest values around each block of pixels: of it, and at least so many px to each side.
+
+    What is chosen of two values is ``choose``, `numpy.minimum` or `numpy.maximum`.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    rest = -values.shape[0] % side, -values.shape[1] % side
+    blocks = np.pad(values, ((0, rest[0]), (0, rest[1])), mode="edge") if any(rest) else values
+    # Row by row, then column by column: many at a time.
+    blocks = reduce(choose, [blocks[k::side] for k in range(side)])
+    blocks = reduce(choose, [blocks[:, k::side] for k in range(side)])
+    return np.asarray((minimum_filter if choose is np.minimum else maximum_filter)(blocks, 2 * -(-half // side) + 1))
+
+
+def _largest_step(values: FloatArray, half: int, side: int) -> FloatArray:
+    """Return the largest difference of neighbours around each block of pixels."""
     step = np.zeros_like(values)
-    step[1:] = np.abs(np.diff(values, axis=0))
+    np.abs(np.diff(values, axis=0), out=step[1:])
     np.maximum(step[:, 1:], np.abs(np.diff(values, axis=1)), out=step[:, 1:])
-    return _largest(step, half)
+    return _extreme(step, half, side, np.maximum)
 
 
 def _window(half: int) -> tuple[int, int]:
@@ -179,11 +189,11 @@ def refined(inverse: FloatArray, image: FloatArray) -> FloatArray:
     for stereo matching and beyond"), near the edges only: it makes no depths between two surfaces, as a mean would.
     """
     half = max(LEAST_HALF, round(REFINE_SHARE * max(inverse.shape)))
-    inverse = sharpened(inverse, 2 * half)
+    inverse, side = sharpened(inverse, 2 * half), _block_side(half)
     for _ in range(ROUNDS):
-        low, high = _range(inverse, half)
+        low, high = _range(inverse, half, side)
         high, found = np.where(high - low < LEAST_EDGE, low, high), np.empty_like(inverse)
-        given = inverse, image, low, high, _window(half), LIKE_COLOUR, found
+        given = inverse, image, low, high, side, _window(half), LIKE_COLOUR, found
         for_bands(_refine_kernels.weighted_medians, len(found), *given)
         inverse = found
     return inverse
