@@ -190,7 +190,7 @@ def _linear(codes: npt.NDArray[Any]) -> FloatArray:
 def _encoded(codes: npt.NDArray[Any], linear: FloatArray) -> FloatArray:
     """Return a photograph as it is displayed, 0 to 1."""
     if _is_encoded(codes.dtype):
-        return np.divide(codes[..., :3], np.float32(np.iinfo(codes.dtype).max), dtype=np.float32)
+        return np.asarray(np.divide(codes[..., :3], np.iinfo(codes.dtype).max, dtype=np.float32))
     return np.asarray(display_encode(linear), np.float32)
 
 
