@@ -9,9 +9,6 @@ from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, LEAST_LIGHT, LI
 
 N_DIRECTIONS, COARSE = 32, 4
 """Directions in which a gap may be crossed, and every so many-eth is tried first."""
-DOWN = np.sin(np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS)
-ACROSS = np.cos(np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS)
-"""Rows and columns of a step in each."""
 LONGEST = 16
 """Cells from a hidden one to either side, at most."""
 BESIDE = 3
@@ -24,6 +21,20 @@ LEAST_COVERED = 0.9
 """Share of a cell that the layer must cover to be compared: what ends there, as leaves do, goes on nowhere."""
 EVEN = 0.02
 """Squared relative difference below which all that lies around a cell is of one colour, which fills the gap anyway."""
+
+
+def _steps_away():
+    """Return rows and columns to each cell of each line, see `AWAY`."""
+    turn = np.pi * np.arange(N_DIRECTIONS)[:, None, None] / N_DIRECTIONS
+    side, steps = np.arange(-BESIDE, BESIDE + 1)[:, None], np.arange(-LONGEST, LONGEST + 1)
+    down = steps * np.sin(turn) + side * np.cos(turn)
+    across = steps * np.cos(turn) - side * np.sin(turn)
+    return np.floor(np.stack([down, across], axis=-1) + 0.5).astype(np.int64)
+
+
+AWAY = _steps_away()
+"""Rows and columns from a cell: by direction, line beside it, from -`BESIDE` on, and steps along it, from -`LONGEST` on.
+"""
 
 
 @kernel
@@ -53,9 +64,9 @@ def mark_comparable(begin, end, hides, features, corner, wanted, comparable):
 
 
 @helper
-def _away(row, col, turn, steps):
-    """Return the cell some steps away in a direction."""
-    return int(math.floor(row + steps * DOWN[turn] + 0.5)), int(math.floor(col + steps * ACROSS[turn] + 0.5))
+def _away(row, col, turn, steps, side=0):
+    """Return the cell some steps away in a direction, on a line so many cells to one side."""
+    return row + AWAY[turn, BESIDE + side, LONGEST + steps, 0], col + AWAY[turn, BESIDE + side, LONGEST + steps, 1]
 
 
 @helper
@@ -95,9 +106,8 @@ def _cost(hides, features, comparable, row, col, turn, forth, back, least):
     for number in range(2 * BESIDE + 1):
         # The line itself first, then those to both sides of it.
         side = (number + 1) // 2 * (1 if number % 2 else -1)
-        y, x = row + side * ACROSS[turn], col - side * DOWN[turn]
-        i, j = _away(y, x, turn, forth)
-        k, m = _away(y, x, turn, -back)
+        i, j = _away(row, col, turn, forth, side)
+        k, m = _away(row, col, turn, -back, side)
         inside = 0 <= i < height and 0 <= j < width and 0 <= k < height and 0 <= m < width
         if inside and comparable[i, j] == 2 and comparable[k, m] == 2:
             total += _difference(hides, features, i, j, k, m)
