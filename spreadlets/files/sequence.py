@@ -7,12 +7,6 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 
-from fileseq.constants import PAD_STYLE_HASH1
-from fileseq.exceptions import MaxSizeException, ParseException
-from fileseq.filesequence import FileSequence
-from fileseq.frameset import FrameSet
-from fileseq.utils import pad
-
 from spreadlets.errors import InvalidFileError, InvalidParameterError, option
 
 COUNTER = re.compile(r"#+|@+|%(?:0\d+)?d|\$F\d*")
@@ -47,8 +41,16 @@ def numbered(pattern: str, number: int) -> str:
     >>> numbered("shot.####.exr", 7), numbered("shot.%d.exr", -3), numbered("shot.$F3.exr", 7)
     ('shot.0007.exr', 'shot.-3.exr', 'shot.007.exr')
     """
+    counters = _counters(pattern)
+    if not counters:
+        return pattern
+    # It takes a tenth of a second to import, which a single file need not wait for.
+    from fileseq.constants import PAD_STYLE_HASH1
+    from fileseq.filesequence import FileSequence
+    from fileseq.utils import pad
+
     text, end = "", 0
-    for counter in _counters(pattern):
+    for counter in counters:
         digits = FileSequence.getPaddingNum(counter[0], pad_style=PAD_STYLE_HASH1)
         text += pattern[end : counter.start()] + pad(number, digits)
         end = counter.end()
@@ -92,6 +94,9 @@ def parse_frames(text: str) -> list[int]:
     >>> parse_frames("1-9x4,-2")
     [-2, 1, 5, 9]
     """
+    from fileseq.exceptions import MaxSizeException, ParseException
+    from fileseq.frameset import FrameSet
+
     try:
         frames = FrameSet(text)
     except MaxSizeException:
