@@ -25,8 +25,8 @@ SEEN_REACH = 3
 
 
 @kernel
-def find_thin(begin, end, place, gap, thin):
-    """Mark the pixels in which something is one pixel wide in a row, or in a column.
+def find_thin(begin, end, place, gap, widest, thin):
+    """Mark the pixels in which something is one pixel wide in a row, or in a column, or a little more.
 
     Its surface ends on both sides, before something farther on one at least.
 
@@ -36,18 +36,25 @@ def find_thin(begin, end, place, gap, thin):
         Where surfaces lie in depth, as CoC radii, px; infinity where there is none.
     gap : float
         Difference of places that parts two surfaces.
+    widest : int
+        So many pixels it may have.
     thin : ndarray of shape (H, W), int8
         Filled with `UPRIGHT`, `LEVEL` or 0.
     """
     height, width = place.shape
     for row in range(begin, end):
-        above, below = place[max(row - 1, 0)], place[min(row + 1, height - 1)]
         for col in range(width):
             thin[row, col], here = 0, place[row, col]
             if here == np.inf:
                 continue
-            left, right = place[row, max(col - 1, 0)] - here, place[row, min(col + 1, width - 1)] - here
-            over, under = above[col] - here, below[col] - here
+            # Of what is wider than a pixel, the first one in the row or the column is marked.
+            after, below = col + 1, row + 1
+            while after < min(col + widest, width) and abs(place[row, after] - here) < ALIKE * gap:
+                after += 1
+            while below < min(row + widest, height) and abs(place[below, col] - here) < ALIKE * gap:
+                below += 1
+            left, right = place[row, max(col - 1, 0)] - here, place[row, min(after, width - 1)] - here
+            over, under = place[max(row - 1, 0), col] - here, place[min(below, height - 1), col] - here
             if min(abs(over), abs(under)) >= gap and max(over, under) >= gap:
                 thin[row, col] = LEVEL
             if min(abs(left), abs(right)) >= gap and max(left, right) >= gap:

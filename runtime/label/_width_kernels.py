@@ -19,6 +19,10 @@ LONGEST_SKIP = 3
 """Px to the next pixel of a strand that is followed: another may cross it."""
 LEAST_FOLLOWED = 5
 """Pixels of a strand, besides the one it is followed from: what is shorter is none."""
+CROOKED = 0.06
+"""Variance of a strand's middles about a straight line, px^2, at which its own coverages count half."""
+LEAST_SHOWN = 0.5
+"""Share of a strip's coverage that its own pixels must hold to be given all of it."""
 HARDLY_SEEN = 0.1
 """Px of a strand in a row across it, of which little is to be learnt about where it lies there."""
 MOST_COVERED = 0.98
@@ -87,8 +91,9 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
         See `divide_pixels`.
     gap : float
         Difference of places that parts two surfaces.
-    measured : ndarray of shape (n, 5), float32
-        Filled for each pixel of a strand: coverage, px, and light.
+    measured : ndarray of shape (n, 7), float32
+        Filled for each pixel of a strand: coverage, px, and light; and the mean of the steps across to it, and of their
+        squares.
     """
     _, shares, _, colours, _ = found
     for row in range(begin, end):
@@ -96,7 +101,7 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
             if strand[row, col] < 0:
                 continue
             sums = measured[strand[row, col]]
-            for c in range(5):
+            for c in range(7):
                 sums[c] = 0.0
             # Look at the pixels across it that show its surface.
             for step in range(-BESIDE, BESIDE + 1):
@@ -106,6 +111,11 @@ def measure_strands(begin, end, place, thin, strand, mixed, found, gap, measured
                     sums[0] += shares[number, s]
                     for c in range(4):
                         sums[1 + c] += shares[number, s] * colours[number, s, c]
+                    sums[5] += step * shares[number, s]
+                    sums[6] += step * step * shares[number, s]
+            if sums[0] > 0.0:
+                sums[5] /= sums[0]
+                sums[6] /= sums[0]
 
 
 @helper
@@ -127,10 +137,19 @@ def _next_pixel(place, thin, strand, row, col, side, here, most):
 
 @helper
 def _average_along(place, thin, strand, row, col, gap, measured, mean):
-    """Average along a strand what was measured across it, to both sides of a pixel; return whether that is enough."""
+    """Average along a strand what was measured across it, to both sides of a pixel; return whether that is enough.
+
+    ``mean`` (8,) is filled with coverage and light; with the steps across to the strand's middle, and how many it moves
+    across for each along: a straight line through the middles around, those of more coverage counting more; and with
+    their variance about it.
+    """
+    number = strand[row, col]
     weights, followed = 1.0, 0
     for c in range(5):
-        mean[c] = measured[strand[row, col], c]
+        mean[c] = measured[number, c]
+    # Sums for the line through the middles: weights, places across and along, their squares and their product.
+    seen, across, along = mean[0], mean[0] * measured[number, 5], 0.0
+    across_square, along_square, product = across * measured[number, 5], 0.0, 0.0
     # Follow the strand from pixel to pixel.
     for side in (-1, 1):
         i, j, away = row, col, 0
@@ -142,53 +161,117 @@ def _average_along(place, thin, strand, row, col, gap, measured, mean):
             followed += 1
             weight = math.exp(-0.5 * (away / ALONG) ** 2)
             weights += weight
+            each = measured[strand[i, j]]
             for c in range(5):
-                mean[c] += weight * measured[strand[i, j], c]
+                mean[c] += weight * each[c]
+            # Where its middle lies.
+            aside = (j - col if thin[row, col] == UPRIGHT else i - row) + each[5]
+            weight *= each[0]
+            seen += weight
+            across += weight * aside
+            along += weight * side * away
+            across_square += weight * aside * aside
+            along_square += weight * away * away
+            product += weight * aside * side * away
     for c in range(5):
         mean[c] /= weights
-    return followed >= LEAST_FOLLOWED
+    if seen > 0.0:
+        spread = along_square - along * along / seen
+        mean[6] = (product - across * along / seen) / spread if spread > 0.0 else 0.0
+        mean[5] = (across - mean[6] * along) / seen
+        mean[7] = max(across_square - mean[5] * across - mean[6] * product, 0.0) / seen
+    return followed >= LEAST_FOLLOWED and seen > 0.0
+
+
+@helper
+def _covered(middle, width, deviation):
+    """Return what a strip covers of a pixel, through a Gaussian filter, its middle so many px from the pixel's."""
+    scale = math.sqrt(0.5) / deviation
+    return 0.5 * (math.erf(scale * (middle + 0.5 * width)) - math.erf(scale * (middle - 0.5 * width)))
 
 
 @kernel
-def average_strands(begin, end, place, thin, strand, mixed, found, gap, measured, wanted):
+def average_strands(begin, end, place, thin, strand, gap, measured, line, softness):
+    """Average strands along their lines, and see how soft their edges are.
+
+    Parameters
+    ----------
+    place, thin, strand, gap, measured
+        See `measure_strands`.
+    line : ndarray of shape (n, 8), float32
+        Filled for each pixel of a strand, see `_average_along`; the coverage is 0 where the strand is too short.
+    softness : ndarray of shape (H, 2), float64
+        Filled for each row: sum of the variances, px^2, that the edges have across strands, and their weights.
+    """
+    for row in range(begin, end):
+        softness[row] = 0.0
+        for col in range(place.shape[1]):
+            number = strand[row, col]
+            if number < 0:
+                continue
+            mean = line[number]
+            if not _average_along(place, thin, strand, row, col, gap, measured, mean):
+                mean[0] = 0.0
+            own, width = measured[number], np.float64(mean[0])
+            if width <= 0.0 or own[0] <= 0.0:
+                continue
+            # The variance across, without that of a strip; a slanted strand's edges are softer across a row.
+            varied = own[6] - own[5] * own[5] - width * width / 12.0
+            weight = own[0] / (1.0 + mean[7] / CROOKED)
+            softness[row, 0] += weight * varied / (1.0 + mean[6] * mean[6])
+            softness[row, 1] += weight
+
+
+@kernel
+def spread_strands(begin, end, place, thin, strand, mixed, found, gap, measured, line, variance, wanted):
     """Find how much of each pixel across a strand it would cover, and with how much light, were it as on average.
+
+    It is a strip, as wide as on average, along a straight line through the middles around: so it is as even as a
+    renderer draws it.
 
     Parameters
     ----------
     place, thin, strand, mixed, found, gap, measured
         See `measure_strands`.
+    line
+        See `average_strands`.
+    variance : float
+        Of the strip's edges, px^2.
     wanted : ndarray of shape (n, 2 * BESIDE + 1, 5), float32
         Filled for each pixel of a strand, and the pixels across it: coverage, -1 where it stays as it is, and light.
     """
     _, shares, _, colours, told = found
-    mean = np.empty(5)
     for row in range(begin, end):
         for col in range(place.shape[1]):
             number = strand[row, col]
             if number < 0:
                 continue
             wanted[number, :, 0] = -1.0
-            enough = _average_along(place, thin, strand, row, col, gap, measured, mean)
-            if not enough or mean[0] <= 0.0:
+            mean = line[number]
+            if mean[0] <= 0.0:
                 continue
-            # Across the strand, coverage and light stay spread as they were, while what is hardly seen is its own
-            # pixel's.
+            deviation = math.sqrt(variance * (1.0 + mean[6] * mean[6]))
+            straight = 1.0 / (1.0 + mean[7] / CROOKED)
             whole = measured[number, 0] + HARDLY_SEEN
+            # What a strip covers of the pixels across it that are its own: all together as much as on average.
+            strip = 0.0
+            for step in range(-BESIDE, BESIDE + 1):
+                _, _, s = _seen_across(place, thin, strand, mixed, found, row, col, step, ALIKE * gap)
+                if s >= 0:
+                    wanted[number, step + BESIDE, 0] = _covered(mean[5] - step, mean[0], deviation)
+                    strip += wanted[number, step + BESIDE, 0]
+            scale = mean[0] / strip if strip > LEAST_SHOWN * mean[0] else 1.0
             for step in range(-BESIDE, BESIDE + 1):
                 i, j, s = _seen_across(place, thin, strand, mixed, found, row, col, step, ALIKE * gap)
                 if s < 0:
                     continue
-                each = wanted[number, step + BESIDE]
-                own = np.float64(shares[mixed[i, j], s])
-                part = (own + (HARDLY_SEEN if step == 0 else 0.0)) / whole
-                share = min(part * mean[0], MOST_COVERED)
+                # The less straight it is, the more coverage stays as it was; what is hardly seen is its own pixel's.
+                each, own = wanted[number, step + BESIDE], np.float64(shares[mixed[i, j], s])
+                spread = mean[0] * (own + (HARDLY_SEEN if step == 0 else 0.0)) / whole
+                share = min(spread + straight * (scale * each[0] - spread), MOST_COVERED)
                 each[0] = share
                 for c in range(4):
                     each[1 + c] = mean[1 + c] * share / mean[0]
-                    light = measured[number, 1 + c]
-                    if light > 0.0:
-                        likely = own * colours[mixed[i, j], s, c] * mean[1 + c] / light
-                        each[1 + c] += measured[number, 0] / whole * (likely - each[1 + c])
                 # What colours have told of the pixel stays.
                 kept = told[mixed[i, j]]
                 each[0] += kept * (own - share)

@@ -37,6 +37,12 @@ USUAL_WIDENING, WIDENINGS = 0.03, (-0.05, 0.2)
 """Half of what a filter's variance is larger by than that of a tent, px^2: usually, and at least and most."""
 SURE = 200.0
 """What mixed pixels must tell of the filter to be believed as much as that."""
+EDGES_SHARE = 0.85
+"""Of how much the coverage of strands varies across them, beyond their width; the rest is doubt about it."""
+STRAND_VARIANCES = (1.0 / 16.0, 0.5)
+"""Least and largest variance of the edges of strands, px^2: that of the filter is between them."""
+WIDEST_STRAND = 2
+"""Px that a strand may be wide in the depth: what is a pixel and a half wide is now one, now two."""
 DOUBT = 0.03
 """The same of the doubt about the place of an edge, of which point samples tell the pixel."""
 EMPTY_PIXELS = 1 << 16
@@ -452,26 +458,31 @@ def even_strands(
     first, found : tuple
         How the pixels are divided, see `_surface_kernels.divide_pixels`; changed.
     """
-    height, thin = len(place), _thin(place)
+    height, thin = len(place), _thin(place, WIDEST_STRAND)
     strand, mixed = np.full((2, *place.shape), -1, np.int32)
     divided = np.flatnonzero(found[1].any(axis=1))
     mixed[tuple(found[0][divided].T)] = divided
     chosen = (thin > 0) & (mixed >= 0)
     n = int(chosen.sum())
     strand[chosen] = np.arange(n)
-    measured = np.empty((n, 5), np.float32)
+    measured, line, softness = np.empty((n, 7), np.float32), np.empty((n, 8), np.float32), np.empty((height, 2))
     wanted = np.empty((n, 2 * _width_kernels.BESIDE + 1, 5), np.float32)
+    # What they are on average, and how soft their edges are in the whole frame.
     across = place, thin, strand, mixed, found, LEAST_GAP, measured
     for_bands(_width_kernels.measure_strands, height, *across)
-    for_bands(_width_kernels.average_strands, height, *across, wanted)
+    along = place, thin, strand, LEAST_GAP, measured, line, softness
+    for_bands(_width_kernels.average_strands, height, *along)
+    varied, weight = softness.sum(axis=0)
+    variance = float(np.clip(EDGES_SHARE * varied / max(weight, 1.0), *STRAND_VARIANCES))
+    for_bands(_width_kernels.spread_strands, height, *across, line, variance, wanted)
     given = place, radiance, thin, strand, mixed, LEAST_GAP, wanted, first, found
     _width_kernels.even_strands(0, height, *given)
 
 
-def _thin(place: Image) -> npt.NDArray[np.int8]:
-    """Return in which pixels something is one pixel wide, see `_gap_kernels.find_thin`."""
+def _thin(place: Image, widest: int = 1) -> npt.NDArray[np.int8]:
+    """Return in which pixels something is so wide at most, px, see `_gap_kernels.find_thin`."""
     thin = np.empty(place.shape, np.int8)
-    for_bands(_gap_kernels.find_thin, len(place), place, LEAST_GAP, thin)
+    for_bands(_gap_kernels.find_thin, len(place), place, LEAST_GAP, widest, thin)
     return thin
 
 

@@ -33,7 +33,7 @@ def _steps_away():
 
 
 AWAY = _steps_away()
-"""Rows and columns from a cell: by direction, line beside it, from -`BESIDE` on, and steps along it, from -`LONGEST` on.
+"""Rows and columns from a cell, by direction, line beside it (from -`BESIDE` on), and steps along it (from -`LONGEST`).
 """
 
 

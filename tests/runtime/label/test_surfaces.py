@@ -366,7 +366,7 @@ def test_where_there_is_nothing_there_is_no_strand():
     place = surfaces.places(layer, CAMERA)
     place[coverage == 0.0] = np.inf
     thin = np.ones(place.shape, np.bool_)
-    _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, thin)
+    _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, 1, thin)
     assert not thin[np.isinf(place)].any()
 
 
@@ -395,6 +395,21 @@ def test_a_strand_is_as_wide_and_as_bright_all_along(degrees):
     light, covered, wanted = of_strand(0.6, degrees)
     assert covered.std() < 0.1 * wanted.mean() and light.std() < 0.15 * RED[0] * wanted.mean()
     assert abs(light.mean() - RED[0] * wanted.mean()) < 0.1 * RED[0] * wanted.mean()
+
+
+@pytest.mark.parametrize("width", [1.4, 1.8])
+def test_a_strand_that_is_now_one_pixel_wide_now_two_is_as_even_as_drawn(width):
+    """A strip along a straight line, with the edges of the filter: no pixel of it stands out."""
+    errors = []
+    for place in (24.2, 24.57, 24.9):
+        inside = lambda x, y, place=place: np.abs(x - place - 0.07 * (y - 24.0)) < 0.5 * width  # noqa: E731
+        layer, coverage = drawn(inside, size=48)
+        behind = np.kron(np.random.default_rng(1).uniform(0.2, 1.8, (12, 12)), np.ones((4, 4)))[..., None] * BLUE
+        colours = coverage[..., None] * RED + (1.0 - coverage[..., None]) * behind
+        layer = replace(layer, radiance=np.dstack([colours, np.ones_like(coverage)]).astype(np.float32))
+        error = inner(near_share(in_frame(split_surfaces(layer, CAMERA), layer.shape)) - coverage, 8)
+        errors.append(np.mean(error[inner(coverage, 8) > 0.02] ** 2))
+    assert np.sqrt(np.mean(errors)) < 0.045
 
 
 def test_strands_side_by_side_are_each_as_wide_as_drawn():
