@@ -28,7 +28,9 @@ FIRST_BAND = 32
 WORTH_SHARING_S = 1e-4
 """Time of the rest, s, below which waking other threads costs more than it saves."""
 BANDS_PER_THREAD = 4
-"""Bands for each thread: one that is held up leaves its share to the others."""
+"""Bands for each thread, at least: one that is held up leaves its share to the others."""
+LONGEST_BAND_S = 2e-3
+"""Time of a band, s, above which there are more: at the end no thread waits longer for another."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -96,10 +98,11 @@ def for_bands(kernel: Callable[..., Result], n_rows: int, *arguments: Any) -> li
     first = max(n_rows // FIRST_BAND, 1)
     begin = time.perf_counter()
     results = [kernel(0, first, *arguments)]
-    if (time.perf_counter() - begin) * (n_rows - first) < WORTH_SHARING_S * first:
+    rest_s = (time.perf_counter() - begin) * (n_rows - first) / first
+    if rest_s < WORTH_SHARING_S:
         return [*results, kernel(first, n_rows, *arguments)]
     # The rest in bands, to whoever is free.
-    n_bands = min(BANDS_PER_THREAD * n_threads, n_rows - first)
+    n_bands = min(max(BANDS_PER_THREAD * n_threads, int(rest_s / LONGEST_BAND_S)), n_rows - first)
     edges = [first + (n_rows - first) * band // n_bands for band in range(n_bands + 1)]
     return results + for_each(lambda band: kernel(edges[band], edges[band + 1], *arguments), range(n_bands))
 

@@ -29,7 +29,7 @@ def _steps_away():
     side, steps = np.arange(-BESIDE, BESIDE + 1)[:, None], np.arange(-LONGEST, LONGEST + 1)
     down = steps * np.sin(turn) + side * np.cos(turn)
     across = steps * np.cos(turn) - side * np.sin(turn)
-    return np.floor(np.stack([down, across], axis=-1) + 0.5).astype(np.int64)
+    return np.floor(np.stack([down, across], axis=-1) + 0.5).astype(np.int8)
 
 
 AWAY = _steps_away()
@@ -66,7 +66,8 @@ def mark_comparable(begin, end, hides, features, corner, wanted, comparable):
 @helper
 def _away(row, col, turn, steps, side=0):
     """Return the cell some steps away in a direction, on a line so many cells to one side."""
-    return row + AWAY[turn, BESIDE + side, LONGEST + steps, 0], col + AWAY[turn, BESIDE + side, LONGEST + steps, 1]
+    place = AWAY[turn, BESIDE + side, LONGEST + steps]
+    return row + np.int64(place[0]), col + np.int64(place[1])
 
 
 @helper
