@@ -25,12 +25,12 @@ STRAND_LONGEST, STRAND_ALONG = 8, 4.0
 """The same along a strand with gaps: it covers a pixel as much as its point samples lie close along it."""
 ACROSS = 0.6
 """The same where there is no direction: at corners and dots."""
-TRUST_NEAR, TRUST_FAR = 0.15, 0.05
+TRUST_NEAR, TRUST_FAR = 0.3, 0.1
 """Deviations of the coverage that is found by that mean: within a pixel of the surface, and farther from it."""
 TRUST_DEPTH = 0.02
 """Deviation of a coverage that filtered depth tells."""
-LEAST_NOISE, COLOUR_NOISE = 0.02, 0.1
-"""Deviation of a surface's colour: at least so much, and so much of itself."""
+LEAST_NOISE, COLOUR_NOISE = 0.01, 0.04
+"""Deviation of a surface's colour, beside that of its pixels: at least so much, and so much of itself."""
 LOG_LAMP_RATIO = math.log(4.0)
 """Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else."""
 GUIDE_TRUST = 0.05
@@ -336,10 +336,10 @@ def _add_colours(radiance, weights, row, col, which, count, counts, sums):
             if s >= 0:
                 weight = COLOUR_WEIGHT[i, j] * power[top + i, left + j]
                 counts[i, j] = weight
-                sums[s, 11] += weight
-                sums[s, 12] += weight * log_light[top + i, left + j]
+                sums[s, 14] += weight
+                sums[s, 15] += weight * log_light[top + i, left + j]
     for s in range(count):
-        sums[s, 12] = LOG_LAMP_RATIO + sums[s, 12] / sums[s, 11]
+        sums[s, 15] = LOG_LAMP_RATIO + sums[s, 15] / sums[s, 14]
     # Sum up moments of colour, in which pixels much brighter than that count little.
     for i in range(max(-top, 0), min(height - top, len(which))):
         for j in range(max(-left, 0), min(width - left, len(which))):
@@ -347,8 +347,8 @@ def _add_colours(radiance, weights, row, col, which, count, counts, sums):
             if s < 0:
                 continue
             total, weight = sums[s], counts[i, j]
-            if log_light[top + i, left + j] > total[12]:
-                excess = _brightness(radiance[top + i, left + j]) / math.exp(total[12]) - 1.0
+            if log_light[top + i, left + j] > total[15]:
+                excess = _brightness(radiance[top + i, left + j]) / math.exp(total[15]) - 1.0
                 weight /= 1.0 + max(excess, 0.0) ** 2
             total[0] += weight
             total[1] += COLOUR_WEIGHT[i, j]
@@ -357,21 +357,27 @@ def _add_colours(radiance, weights, row, col, which, count, counts, sums):
                 value = np.float64(radiance[top + i, left + j, c])
                 total[3 + c] += weight * value
                 total[7 + c] += weight * value * value
+            r, g = np.float64(radiance[top + i, left + j, 0]), np.float64(radiance[top + i, left + j, 1])
+            b = np.float64(radiance[top + i, left + j, 2])
+            total[11] += weight * r * g
+            total[12] += weight * r * b
+            total[13] += weight * g * b
 
 
 @helper
-def _colour_models(count, sums, mean, variance):
-    """Fill mean and variance (MOST, 4) of each surface's colour from sums over its pixels.
+def _colour_models(count, sums, mean, spread):
+    """Fill mean (MOST, 4) and spread (MOST, 7) of each surface's colour from sums over its pixels.
 
-    Columns of ``sums``: weight, weight by distance alone, purity, colours, their squares; two are of the first sum.
-    What is impure of the pixels shows the other surfaces; their mean is taken out.
+    Columns of ``sums``: weight, weight by distance alone, purity, colours, their squares, and their products rg, rb and
+    gb; two are of the first sum. Those of ``spread``: variances, and covariances rg, rb and gb. What is impure of the
+    pixels shows the other surfaces; their mean is taken out.
     """
     for s in range(count):
         share = sums[s, 2] / sums[s, 0]
         for c in range(4):
             # Find the moments of the surface's pixels, and those of all others.
             own = sums[s, 3 + c] / sums[s, 0]
-            spread = max(sums[s, 7 + c] / sums[s, 0] - own * own, 0.0)
+            raw = max(sums[s, 7 + c] / sums[s, 0] - own * own, 0.0)
             weight = other = square = 0.0
             for t in range(count):
                 if t != s:
@@ -383,38 +389,87 @@ def _colour_models(count, sums, mean, variance):
             square = max(square / weight - other * other, 0.0)
             # Take out the others' share.
             mean[s, c] = max((own - (1.0 - share) * other) / share, 0.0)
-            noise = LEAST_NOISE + COLOUR_NOISE * mean[s, c]
-            variance[s, c] = max(spread - (1.0 - share) ** 2 * square, 0.0) / share**2 + noise**2
+            spread[s, c] = max(raw - (1.0 - share) ** 2 * square, 0.0) / share**2
+            # Keep by how much the deviation has changed.
+            sums[s, 7 + c] = math.sqrt(spread[s, c] / raw) if raw > 0.0 else 0.0
         mean[s, 3] = min(mean[s, 3], 1.0)
-
-
-@helper
-def _missing(colour, mean, variance, share, count, c, least):
-    """Return what a pixel's surfaces lack of a channel of its colour, and the variance of that, at least so much."""
-    missing, noise = np.float64(colour[c]), least
     for s in range(count):
-        missing -= share[s] * mean[s, c]
-        noise += share[s] ** 2 * variance[s, c]
-    return missing, noise
+        share = sums[s, 2] / sums[s, 0]
+        # Channels vary together as much as those of the pixels do: of impure ones that tells little.
+        for k in range(3):
+            one, two = k // 2, 1 + (k + 1) // 2
+            product = sums[s, 11 + k] / sums[s, 0] - sums[s, 3 + one] * sums[s, 3 + two] / sums[s, 0] ** 2
+            spread[s, 4 + k] = share**2 * product * sums[s, 7 + one] * sums[s, 7 + two]
+        for c in range(4):
+            spread[s, c] += ((LEAST_NOISE + COLOUR_NOISE * mean[s, c]) / share**2) ** 2
 
 
 @helper
-def _fit_shares(colour, mean, variance, trust, count, share):
+def _set_precision(spread, share, count, least, precision):
+    """Fill ``precision`` (7,) with the inverse of the covariance of a pixel's colour, as `_colour_models` orders it.
+
+    Parameters
+    ----------
+    spread, share
+        Of the pixel's surfaces.
+    least : float
+        Added to the variances.
+    """
+    for c in range(7):
+        precision[c] = least if c < 4 else 0.0
+        for s in range(count):
+            precision[c] += share[s] ** 2 * spread[s, c]
+    rr, gg, bb, rg, rb, gb = precision[0], precision[1], precision[2], precision[4], precision[5], precision[6]
+    xx, xy, xz = gg * bb - gb * gb, rb * gb - rg * bb, rg * gb - rb * gg
+    scale = 1.0 / (rr * xx + rg * xy + rb * xz)
+    precision[0], precision[1], precision[2] = xx * scale, (rr * bb - rb * rb) * scale, (rr * gg - rg * rg) * scale
+    precision[3] = 1.0 / precision[3]
+    precision[4], precision[5], precision[6] = xy * scale, xz * scale, (rb * rg - rr * gb) * scale
+
+
+@helper
+def _times(matrix, vector, product):
+    """Fill ``product`` (4,) with a symmetric matrix, ordered as `_colour_models` has it, times a vector of channels."""
+    r, g, b = vector[0], vector[1], vector[2]
+    product[0] = matrix[0] * r + matrix[4] * g + matrix[5] * b
+    product[1] = matrix[4] * r + matrix[1] * g + matrix[6] * b
+    product[2] = matrix[5] * r + matrix[6] * g + matrix[2] * b
+    product[3] = matrix[3] * vector[3]
+
+
+@helper
+def _dot(one, other):
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2] + one[3] * other[3]
+
+
+@helper
+def _missing(colour, mean, share, count, missing):
+    """Fill ``missing`` (4,) with what a pixel's surfaces lack of its colour."""
+    for c in range(4):
+        missing[c] = np.float64(colour[c])
+        for s in range(count):
+            missing[c] -= share[s] * mean[s, c]
+
+
+@helper
+def _fit_shares(colour, mean, spread, trust, count, share, lines):
     """Change the surfaces' shares of a pixel, from a first guess, to those that its colour makes most likely.
 
-    Colours are Gaussian with the given mean and variance, shares with the guess and deviations ``trust``, and sum to 1.
+    Colours are Gaussian with the given mean and spread, shares with the guess and deviations ``trust``, and sum to 1.
     """
+    precision, missing, first, second, weighed = lines
     # Set up the normal equations of the shares' changes: the guess, and what the colour lacks.
-    xx = 1.0 / trust[1] ** 2
-    yy, xy, x, y = 1.0 / trust[2] ** 2, 0.0, 0.0, 0.0
+    _set_precision(spread, share, count, 1e-8, precision)
+    _missing(colour, mean, share, count, missing)
     for c in range(4):
-        missing, noise = _missing(colour, mean, variance, share, count, c, 1e-8)
-        first = mean[1, c] - mean[0, c]
-        xx, x = xx + first * first / noise, x + first * missing / noise
-        if count == 3:
-            second = mean[2, c] - mean[0, c]
-            yy, y = yy + second * second / noise, y + second * missing / noise
-            xy += first * second / noise
+        first[c], second[c] = mean[1, c] - mean[0, c], mean[2, c] - mean[0, c]
+    _times(precision, first, weighed)
+    xx, x = 1.0 / trust[1] ** 2 + _dot(weighed, first), _dot(weighed, missing)
+    yy, xy, y = 1.0 / trust[2] ** 2, 0.0, 0.0
+    if count == 3:
+        xy = _dot(weighed, second)
+        _times(precision, second, weighed)
+        yy, y = yy + _dot(weighed, second), _dot(weighed, missing)
     # Solve them.
     determinant = xx * yy - xy * xy
     more, most = (x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant
@@ -432,13 +487,20 @@ def _fit_shares(colour, mean, variance, trust, count, share):
 
 
 @helper
-def _divide(colour, mean, variance, share, count, colours):
+def _divide(colour, mean, spread, share, count, colours, lines):
     """Fill the likeliest colours (MOST, 4) of a pixel's surfaces that add up to the pixel's; none is below 0."""
+    precision, missing, change, _, weighed = lines
+    _set_precision(spread, share, count, 1e-12, precision)
+    _missing(colour, mean, share, count, missing)
+    _times(precision, missing, weighed)
+    for s in range(count):
+        _times(spread[s], weighed, change)
+        for c in range(4):
+            colours[s, c] = mean[s, c] + share[s] * change[c]
     for c in range(4):
-        missing, noise = _missing(colour, mean, variance, share, count, c, 1e-12)
         short = whole = 0.0
         for s in range(count):
-            value = mean[s, c] + missing * share[s] * variance[s, c] / noise
+            value = np.float64(colours[s, c])
             short -= share[s] * min(value, 0.0)
             whole += share[s] * max(value, 0.0)
             colours[s, c] = max(value, 0.0)
@@ -569,9 +631,10 @@ def _work():
     """Return the arrays that `_explain` fills, see there, and those that it needs besides."""
     window, side = (2 * REACH + 1) ** 2, 2 * COLOUR_REACH + 1
     spare = np.empty(window), np.empty(window), np.empty(window)
-    found = np.empty((side, side), np.int8), np.empty(MOST), np.empty(MOST), np.empty((MOST, 4)), np.empty((MOST, 4))
+    found = np.empty((side, side), np.int8), np.empty(MOST), np.empty(MOST), np.zeros((MOST, 4)), np.empty((MOST, 7))
     guide = np.empty(6), np.empty((MOST + 1, 4)), np.empty(MOST), np.empty((MOST, 3))
-    return found, spare, np.empty((MOST, 2)), np.empty((MOST, 13)), np.empty((side, side)), guide, np.zeros(1)
+    lines = np.empty(7), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    return found, spare, np.empty((MOST, 2)), np.empty((MOST, 16)), np.empty((side, side)), guide, np.zeros(1), lines
 
 
 @helper
@@ -587,11 +650,11 @@ def _explain(given, row, col, gap, last, work):
     work : tuple
         See `_work`. The first is filled: number of the surface that each pixel around is of, see `_number_surfaces`;
         shares (MOST,), which sum to 1, and what is to be added to them for each px^2 of half the variance that the
-        filter has beyond that of a tent 2 px wide; mean and variance of the colours (MOST, 4). So is the last: how much
-        of the shares colours have told (1,).
+        filter has beyond that of a tent 2 px wide; mean and spread of the colours, see `_colour_models`. So is the last
+        but one: how much of the shares colours have told (1,).
     """
     place, point, radiance, weights, loose = given
-    (which, each, wider, mean, variance), spare, bounds, sums, counts, guide, told = work
+    (which, each, wider, mean, spread), spare, bounds, sums, counts, guide, told, _ = work
     n = _surfaces_around(place, point, row, col, gap, last, spare, bounds)
     if n < 2:
         return 0
@@ -619,7 +682,7 @@ def _explain(given, row, col, gap, last, work):
             wider[s] *= 1.0 - told[0]
     # Learn the colours.
     _add_colours(radiance, weights, row, col, which, count, counts, sums)
-    _colour_models(count, sums, mean, variance)
+    _colour_models(count, sums, mean, spread)
     if told[0] > 0.0:
         for s in range(count):
             for c in range(3):
@@ -645,7 +708,7 @@ def measure_filter(begin, end, given, listed, gap, stride, sums):
         the variance.
     """
     radiance, work = given[2], _work()
-    _, each, wider, mean, variance = work[0]
+    _, each, wider, mean, spread = work[0]
     for row in range(begin, end):
         sums[row] = 0.0
         for number in range(0, listed[1][row + 1] - listed[1][row], stride):
@@ -656,7 +719,7 @@ def measure_filter(begin, end, given, listed, gap, stride, sums):
                 for s in range(count):
                     missing -= each[s] * mean[s, c]
                     change += wider[s] * mean[s, c]
-                    noise += each[s] ** 2 * variance[s, c] + (TRUST_NEAR * (mean[s, c] - mean[0, c])) ** 2
+                    noise += each[s] ** 2 * spread[s, c] + (TRUST_NEAR * (mean[s, c] - mean[0, c])) ** 2
                 sums[row, 0] += missing * change / noise
                 sums[row, 1] += change * change / noise
 
@@ -665,7 +728,7 @@ def measure_filter(begin, end, given, listed, gap, stride, sums):
 def _fit_pixel(given, known, row, col, count, widening, work, sources, trust):
     """Fit the shares of the surfaces that explain a pixel; return how badly they do, as a square of deviations."""
     radiance, weights = given[2], given[3]
-    (which, each, wider, mean, variance), bounds = work[0], work[2]
+    (which, each, wider, mean, spread), bounds, lines = work[0], work[2], work[7]
     # Start from those for the frame's filter, or those that a filtered depth told.
     total = 0.0
     for s in range(count):
@@ -680,13 +743,13 @@ def _fit_pixel(given, known, row, col, count, widening, work, sources, trust):
         nearer = 0 if bounds[0, 0] < bounds[1, 0] else 1
         each[nearer], each[1 - nearer] = known[row, col], 1.0 - known[row, col]
         trust[1] = TRUST_DEPTH
-    _fit_shares(radiance[row, col], mean, variance, trust, count, each)
+    _fit_shares(radiance[row, col], mean, spread, trust, count, each, lines)
     # Compare what they show with the pixel.
-    badness = 0.0
-    for c in range(4):
-        missing, noise = _missing(radiance[row, col], mean, variance, each, count, c, 1e-8)
-        badness += missing * missing / noise
-    return badness
+    precision, missing, _, _, weighed = lines
+    _set_precision(spread, each, count, 1e-8, precision)
+    _missing(radiance[row, col], mean, each, count, missing)
+    _times(precision, missing, weighed)
+    return _dot(weighed, missing)
 
 
 @kernel
@@ -722,7 +785,7 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
     """
     place, _, radiance, weights, _ = given
     work, trust = _work(), np.ones(MOST)
-    _, each, _, mean, variance = work[0]
+    _, each, _, mean, spread = work[0]
     mixed = 0
     for row in range(begin, end):
         for number in range(listed[1][row], listed[1][row + 1]):
@@ -755,7 +818,7 @@ def divide_pixels(begin, end, given, known, listed, gap, widening, first, found)
                 continue
             # Divide the colour among the surfaces.
             mixed += 1
-            _divide(radiance[row, col], mean, variance, each, count, colours)
+            _divide(radiance[row, col], mean, spread, each, count, colours, work[7])
             for s in range(count):
                 shares[s] = each[s]
             first[0][row, col] = shares[0]
@@ -783,7 +846,8 @@ def recolour_surfaces(begin, end, radiance, place, share, colours):
         Filled; with the pixel's colours where it is not mixed.
     """
     n, height, width = share.shape
-    own, mean, variance = np.empty(n), np.zeros((MOST, 4)), np.ones((MOST, 4))
+    own, mean, spread, lines = np.empty(n), np.zeros((MOST, 4)), np.zeros((MOST, 7)), _work()[7]
+    spread[:, :4] = 1.0
     for row in range(begin, end):
         for col in range(width):
             for s in range(n):
@@ -807,4 +871,4 @@ def recolour_surfaces(begin, end, radiance, place, share, colours):
                             mean[s, c] += weight * radiance[i, j, c]
                 mean[s] /= total
             # Divide what is missing.
-            _divide(radiance[row, col], mean, variance, own, n, colours[:, row, col])
+            _divide(radiance[row, col], mean, spread, own, n, colours[:, row, col], lines)

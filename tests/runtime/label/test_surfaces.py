@@ -105,6 +105,18 @@ def test_each_surface_gets_its_colour_and_all_add_up_to_the_pixel(shape, filtere
     assert np.abs(red / count - RED).max() < 0.1
 
 
+def test_colours_tell_shares_before_what_varies_in_brightness_only():
+    """Point samples do not tell which part of a column of pixels an upright edge covers."""
+    size, rng = 24, np.random.default_rng(0)
+    grey = rng.uniform(0.1, 0.9, (size, size, 1)) * np.ones(3)
+    column = np.arange(size)
+    share = (column < 12) + 0.2 * (column == 12)
+    radiance = share[:, None] * RED + (1.0 - share[:, None]) * grey
+    layer = Frame(radiance, np.where(column < 12, NEAR, FAR) * np.ones((size, 1))).layers[0]
+    found = inner(near_share(in_frame(split_surfaces(layer, CAMERA), layer.shape)))[:, 12 - 3]
+    assert np.abs(found - 0.2).mean() < 0.06
+
+
 def test_labels_are_those_of_a_surface_beside_the_pixel():
     layer, _ = drawn(edge, filtered=True)
     for each, share in in_frame(split_surfaces(layer, CAMERA), layer.shape):
