@@ -462,7 +462,8 @@ def _add_drawing(
             beyond = NOTHING if visibility is None or last else visibility.beyond(number)
             placed = (canvas.top, canvas.left), kind
             before = None if parts is None else copied(image)
-            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=drawing.corner)
+            blur = None if visibility is None else visibility.guessed_blur(number)
+            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=drawing.corner, blur=blur)
             if parts is not None and before is not None:
                 parts.append((number, np.subtract(image, before, out=before)))
             # The next layer is drawn where this one was.

@@ -1,5 +1,7 @@
 """Compiled kernels of the composite step: normalise a layer, fill what was not seen of it, and put it behind others."""
 
+import math
+
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
@@ -12,6 +14,8 @@ alone."""
 NONE = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
 """The sums of a pixel outside the canvas."""
 _U = np.uint64
+BRIGHTEST = np.float32(4.0)
+"""How many times as bright as the mean around it what is taken to lie hidden may be: what is more is a lamp."""
 LEAST_ALPHA = np.float32(1e-3)
 """Alpha of a layer up to which nothing is seen of it."""
 
@@ -52,6 +56,59 @@ def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
             if _measure(weight, share, kind) < least:
                 return True
     return False
+
+
+@kernel
+def sum_light(begin, end, padded, side, light):
+    """Sum up the evened light of a layer, and its weight, in rows of blocks.
+
+    Parameters
+    ----------
+    padded : ndarray of shape (rows, cols, 4), float32
+        Sums of the layer's splats.
+    side : int
+        Of a block, px.
+    light : ndarray of shape (2, h, w), float32
+        Filled.
+    """
+    for block in range(begin, end):
+        light[0, block], light[1, block] = np.float32(0.0), np.float32(0.0)
+        for i in range(block * side, min((block + 1) * side, padded.shape[0])):
+            for j in range(padded.shape[1]):
+                own = padded[i, j, 3]
+                if own > SOLVER_ERROR:
+                    brightest = max(padded[i, j, 0], padded[i, j, 1], padded[i, j, 2], np.float32(0.0))
+                    light[0, block, j // side] += own * np.float32(math.sqrt(math.sqrt(brightest / own)))
+                    light[1, block, j // side] += own
+
+
+@helper
+def _limit(limits, side, i, j):
+    """Interpolate the limits of blocks linearly at a pixel of the canvas."""
+    height, width = limits.shape
+    y, x = (i + 0.5) / side - 0.5, (j + 0.5) / side - 0.5
+    y, x = min(max(y, 0.0), height - 1.0), min(max(x, 0.0), width - 1.0)
+    top, left = int(y), int(x)
+    below, beside = min(top + 1, height - 1), min(left + 1, width - 1)
+    down, right = np.float32(y - top), np.float32(x - left)
+    upper = limits[top, left] + right * (limits[top, beside] - limits[top, left])
+    lower = limits[below, left] + right * (limits[below, beside] - limits[below, left])
+    return upper + down * (lower - upper)
+
+
+@helper
+def _dimmed(limits, side, i, j, sums, measure):
+    """Return by what the colours of a pixel's sums are multiplied that others are filled from: lamps are dimmed.
+
+    What is brighter than the limit is a lamp's, the more of it the brighter.
+    """
+    light = max(sums[0], sums[1], sums[2])
+    if not limits.shape[0] or light <= np.float32(0.0):
+        return np.float32(1.0)
+    limit = measure * _limit(limits, side, i, j)
+    if light <= limit:
+        return np.float32(1.0)
+    return max(limit / light, np.float32(1.0) / BRIGHTEST) * limit / light
 
 
 @helper
@@ -101,11 +158,12 @@ def add_layer(begin, end, image, beyond, padded, top, left, seen, kind):
 
 
 @kernel
-def pull_sums(begin, end, padded, top, left, seen, kind, shape, odd, coarse):
+def pull_sums(begin, end, padded, top, left, seen, kind, limits, side, shape, odd, coarse):
     """Fill ``coarse`` (H / 2, W / 2, 5), float32, with a layer's sums and their measure over 2 x 2 pixels.
 
-    Other arguments are those of `add_layer`; ``shape`` is that of its image, and ``odd`` (2 integers) is 1 where the
-    image's first row or column is the second of its pair.
+    ``limits`` (h, w), float32, or (0, 0) for none, is how bright what lies hidden may be in blocks of the canvas, of
+    ``side`` px. Other arguments are those of `add_layer`; ``shape`` is that of its image, and ``odd`` (2 integers) is 1
+    where the image's first row or column is the second of its pair.
     """
     rows, cols = padded.shape[:2]
     sums = padded.reshape(padded.size)
@@ -121,7 +179,8 @@ def pull_sums(begin, end, padded, top, left, seen, kind, shape, odd, coarse):
                         each = load(sums, _U(4 * (i * cols + j)))
                     own = _measure(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
                     sure = _sure(own)
-                    total = add(total, multiply((sure, sure, sure, sure), each))
+                    colour = sure * _dimmed(limits, side, i, j, each, own) if sure > np.float32(0.0) else sure
+                    total = add(total, multiply((colour, colour, colour, sure), each))
                     measure += sure * own
             for c in range(4):
                 coarse[row, col, c] = total[c]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.remembered import Remembered
+from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
@@ -18,6 +21,8 @@ coarser level, in pixels. What is missing to this is filled: the little that was
 over it than what was seen around."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
+LEAST_SIDE = 8
+"""Of the blocks around which the brightness of a layer is taken, px; of wide blurs, that of the discs."""
 FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
@@ -35,6 +40,7 @@ def add_layer(
     beyond: Image = NOTHING,
     least: tuple[float, float] = LEAST_SEEN,
     corner: tuple[int, int] = (0, 0),
+    blur: float | None = None,
 ) -> None:
     """Normalise a layer and put it behind an image, in place.
 
@@ -67,6 +73,8 @@ def add_layer(
     corner : tuple of two ints
         Row and column of the image's first pixel, counted from the picture's centre: the pyramid divides the picture,
         whatever part of it the image holds.
+    blur : float, optional
+        How far the layer's pixels blur, px, if it is not to be filled with the light of lamps.
     """
     bound, bound_of_levels = map(np.float32, least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
@@ -75,7 +83,8 @@ def add_layer(
         return
     odds = [_odd(corner, 0)]
     levels = [_half_size(image, odds[0])]
-    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, shape, odds[0], levels[0])
+    limits = (NOTHING, 1) if blur is None else _limits(padded, blur)
+    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, *limits, shape, odds[0], levels[0])
     while max(levels[-1].shape[:2]) > 1:
         odds.append(_odd(corner, len(levels)))
         levels.append(_half_size(levels[-1], odds[-1]))
@@ -85,6 +94,15 @@ def add_layer(
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
         for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound_of_levels)
     for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound)
+
+
+def _limits(padded: Image, blur: float) -> tuple[Image, int]:
+    """Return how bright what lies hidden may be in blocks of a layer's sums, and their side, px."""
+    side = max(LEAST_SIDE, math.ceil(2.0 * blur))
+    light = np.empty((2, *(-(-size // side) for size in padded.shape[:2])), np.float32)
+    for_bands(_fill_kernels.sum_light, light.shape[1], padded, side, light)
+    total, weight = (box_blurred(each, 1) for each in light)
+    return _fill_kernels.BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4, side
 
 
 def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:

@@ -74,6 +74,11 @@ class ShareBeyond:
         moments = self.moments[number]
         return None if moments is None else layers.share_beyond(self.cover, number, moments)
 
+    def guessed_blur(self, number: int) -> float | None:
+        """Return how far a layer blurs, px: what lies hidden of it is guessed, and has no lamps."""
+        moments = self.moments[number]
+        return None if moments is None else moments.disc_radius()
+
 
 class GivenLayer:
     """A layer of a frame that comes in layers: nothing of it was hidden.
@@ -99,6 +104,10 @@ class GivenLayer:
     def beyond(self, number: int) -> Image:
         """Return how much more is seen of the layer than nearer ones leave in the mean."""
         return NOTHING if self._overlap is None else self._overlap.of(self._number)
+
+    def guessed_blur(self, number: int) -> None:
+        """Return nothing: all of it was seen."""
+        return
 
 
 def overlap_of_layers(groups: Sequence[Sequence[Pixels]], *, closed: bool) -> Overlap | None:
@@ -192,6 +201,10 @@ class PassingSamples:
         if moments is None:
             return None
         return layers.passing_samples(self._passes, number, moments)
+
+    def guessed_blur(self, number: int) -> None:
+        """Return nothing: other samples saw what lies hidden."""
+        return
 
 
 Visibility = ShareBeyond | GivenLayer | PassingSamples

@@ -278,14 +278,17 @@ def dim_highlights(begin, end, light, corner, features):
                 for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
                     total += light[k, m, 0]
                     cover += light[k, m, 1]
-            limit = BRIGHTEST * (total / max(cover, NEGLIGIBLE)) ** 4
+            mean = (total / max(cover, NEGLIGIBLE)) ** 4
+            limit = BRIGHTEST * mean
             for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
                 for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
                     each = features[i, j]
                     brightest, most = max(each[0], each[1], each[2]), limit * each[ALPHA]
                     if brightest > most:
+                        # The brighter, the more of it is a lamp's: what is twice too bright has half of the limit.
+                        dimmed = max(most * most / brightest, mean * each[ALPHA])
                         for c in range(ALPHA):
-                            each[c] *= np.float32(most / brightest)
+                            each[c] *= np.float32(dimmed / brightest)
 
 
 @kernel
