@@ -9,6 +9,9 @@ are drawn in layers, as a renderer gives them, or in one, which does not hold wh
 counts, too. The truth of every frame is drawn as dense as can be: each card by itself, convolved with the exact disc of
 its CoC (64 x 64 samples in each pixel), colour and alpha, and put over the farther ones.
 
+``known``: the truth of each frame by itself, if what nearer cards hide in it were filled smoothly from around, with no
+lamps: how much of the differences single frames cannot know, as lamps that come out from behind a card.
+
 Columns: RMS of the differences between one frame and the next, less that of the truth, displayed (sRGB), as a share of
 the range, and the same as PSNR; the worst pair of frames; in which pair it is; the SSIM of the worst frame. ``dense``:
 the cells' PSFs drawn in full. Writes flicker.txt to benchmarks/results.
@@ -92,6 +95,30 @@ def truth(shown: list[Card], camera: sp.ThinLens, size: int, margin: int) -> np.
     return np.clip(image, 0.0, None)
 
 
+def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return values (H, W, 3), those that are not known interpolated: from as near as there are enough."""
+    found = None
+    for sigma in 2.0 ** np.arange(6, -1, -1):
+        weight = ndimage.gaussian_filter(known, sigma)[..., None]
+        mean = ndimage.gaussian_filter(values * known[..., None], (sigma, sigma, 0)) / np.maximum(weight, 1e-9)
+        sure = np.clip(weight / 0.2, 0, 1)
+        found = mean if found is None else found + sure * (mean - found)
+    return found
+
+
+def as_known(shown: list[Card]) -> list[Card]:
+    """Return the cards with the colours of what nearer ones hide filled from around, without lamps."""
+    seen, known = np.ones_like(shown[0].picture[..., 0]), []
+    for card in shown:
+        colour, alpha = card.picture[..., :3], card.picture[..., 3:]
+        straight = colour / np.maximum(alpha, 1e-6)
+        told = (seen > 0.999) & (alpha[..., 0] > 0.5) & (straight.max(axis=2) < 1.01)
+        guess = alpha * filled(straight, told.astype(float))
+        known.append(Card(np.concatenate([guess + seen[..., None] * (colour - guess), alpha], axis=2), card.depth))
+        seen = seen * (1.0 - alpha[..., 0])
+    return known
+
+
 def frames_of(shown: list[Card], margin: int) -> dict[str, sp.Frame]:
     """Return the frame in layers, and in one, with overscan."""
     layers = [np.ascontiguousarray(card.picture, np.float32) for card in shown]
@@ -136,6 +163,7 @@ def case(
     for part in np.linspace(0.0, 1.0, n_frames):
         shown, camera = cards(size, move_at(part), margin), camera_at(part)
         expected.append(truth(shown, camera, size, margin)[..., :3])
+        made.setdefault("known", []).append(truth(as_known(shown), camera, size, margin)[..., :3])
         for form, frame in frames_of(shown, margin).items():
             for method in ("spreadlets", "dense"):
                 whole = sp.synthesize(frame, camera, "combined", method=method)

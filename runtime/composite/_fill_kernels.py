@@ -1,11 +1,10 @@
 """Compiled kernels of the composite step: normalise a layer, fill what was not seen of it, and put it behind others."""
 
-import math
-
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._vector_kernels import add, load, multiply
+from spreadlets.runtime.plan._behind_kernels import dimmed, evened
 
 COVERAGE, COUNT, REST, LAST = range(4)
 """What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight
@@ -14,8 +13,6 @@ alone."""
 NONE = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
 """The sums of a pixel outside the canvas."""
 _U = np.uint64
-BRIGHTEST = np.float32(4.0)
-"""How many times as bright as the mean around it what is taken to lie hidden may be: what is more is a lamp."""
 LEAST_ALPHA = np.float32(1e-3)
 """Alpha of a layer up to which nothing is seen of it."""
 
@@ -78,7 +75,7 @@ def sum_light(begin, end, padded, side, light):
                 own = padded[i, j, 3]
                 if own > SOLVER_ERROR:
                     brightest = max(padded[i, j, 0], padded[i, j, 1], padded[i, j, 2], np.float32(0.0))
-                    light[0, block, j // side] += own * np.float32(math.sqrt(math.sqrt(brightest / own)))
+                    light[0, block, j // side] += own * np.float32(evened(brightest / own))
                     light[1, block, j // side] += own
 
 
@@ -97,18 +94,13 @@ def _limit(limits, side, i, j):
 
 
 @helper
-def _dimmed(limits, side, i, j, sums, measure):
-    """Return by what the colours of a pixel's sums are multiplied that others are filled from: lamps are dimmed.
-
-    What is brighter than the limit is a lamp's, the more of it the brighter.
-    """
+def _without_lamps(limits, side, i, j, sums, measure):
+    """Return by what the colours of a pixel's sums are multiplied where they stand for others."""
     light = max(sums[0], sums[1], sums[2])
     if not limits.shape[0] or light <= np.float32(0.0):
         return np.float32(1.0)
     limit = measure * _limit(limits, side, i, j)
-    if light <= limit:
-        return np.float32(1.0)
-    return max(limit / light, np.float32(1.0) / BRIGHTEST) * limit / light
+    return np.float32(dimmed(light, limit) / light)
 
 
 @helper
@@ -179,7 +171,7 @@ def pull_sums(begin, end, padded, top, left, seen, kind, limits, side, shape, od
                         each = load(sums, _U(4 * (i * cols + j)))
                     own = _measure(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
                     sure = _sure(own)
-                    colour = sure * _dimmed(limits, side, i, j, each, own) if sure > np.float32(0.0) else sure
+                    colour = sure * _without_lamps(limits, side, i, j, each, own)
                     total = add(total, multiply((colour, colour, colour, sure), each))
                     measure += sure * own
             for c in range(4):

@@ -13,6 +13,7 @@ from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
+from spreadlets.runtime.plan._behind_kernels import BRIGHTEST
 from spreadlets.scans import count_alphas
 
 LEAST_SEEN = 0.98, 4.0
@@ -81,6 +82,7 @@ def add_layer(
     if not any(for_bands(_fill_kernels.is_unseen, len(image), *sums, bound, shape)):
         for_bands(_fill_kernels.add_layer, len(image), image, beyond, *sums)
         return
+    # Sum it up in the levels of a pyramid.
     odds = [_odd(corner, 0)]
     levels = [_half_size(image, odds[0])]
     limits = (NOTHING, 1) if blur is None else _limits(padded, blur)
@@ -89,6 +91,7 @@ def add_layer(
         odds.append(_odd(corner, len(levels)))
         levels.append(_half_size(levels[-1], odds[-1]))
         for_bands(_fill_kernels.pull, len(levels[-1]), levels[-2], odds[-1], levels[-1])
+    # Fill each level from the coarser one, and put the layer behind the image.
     top = levels[-1]
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
@@ -102,7 +105,8 @@ def _limits(padded: Image, blur: float) -> tuple[Image, int]:
     light = np.empty((2, *(-(-size // side) for size in padded.shape[:2])), np.float32)
     for_bands(_fill_kernels.sum_light, light.shape[1], padded, side, light)
     total, weight = (box_blurred(each, 1) for each in light)
-    return _fill_kernels.BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4, side
+    limits = BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4
+    return limits.astype(np.float32), side
 
 
 def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:

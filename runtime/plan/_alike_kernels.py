@@ -35,7 +35,7 @@ TOO_FEW = 20
 """Cells that must be comparable."""
 LIKE = 0.05
 """Mean squared relative difference, summed over features, up to which two places show the same texture."""
-RANDOM = 0.5
+RANDOM = 0.25
 """How unlike places may be, in the variance around them."""
 EVEN = 0.005
 """How unlike they may be anyway: where nothing varies, one place is as good as another."""

@@ -22,8 +22,8 @@ LEAST_COVER = 0.25
 LEAST_UNLIKE = 0.001
 """Added to what weights are in inverse proportion to."""
 BRIGHTEST = 4.0
-"""How many times as bright as the mean around it what is copied may be: a lamp that is not there would catch the eye,
-and in a sequence it would flash."""
+"""How many times as bright as the mean around it what lies hidden may be taken to be: a lamp that is not there would
+catch the eye, and in a sequence it would flash."""
 _U = np.uint64
 
 
@@ -227,6 +227,16 @@ def evened(light):
     return math.sqrt(math.sqrt(light))
 
 
+@helper
+def dimmed(light, limit):
+    """Return as how bright that is taken for hidden which is brighter than a limit, `BRIGHTEST` times the mean around.
+
+    The brighter it is, the more of it is a lamp's: what is twice the limit counts half of that, but no less than the
+    mean.
+    """
+    return light if light <= limit else max(limit * limit / light, limit / BRIGHTEST)
+
+
 @kernel
 def sum_light(begin, end, features, corner, wanted, light):
     """Fill ``light`` (h / BLOCK, w / BLOCK, 2), float64, with the evened light and the alpha of blocks of cells.
@@ -278,17 +288,15 @@ def dim_highlights(begin, end, light, corner, features):
                 for m in range(max(across - 1, 0), min(across + 2, light.shape[1])):
                     total += light[k, m, 0]
                     cover += light[k, m, 1]
-            mean = (total / max(cover, NEGLIGIBLE)) ** 4
-            limit = BRIGHTEST * mean
+            limit = BRIGHTEST * (total / max(cover, NEGLIGIBLE)) ** 4
             for i in range(max(block * BLOCK - above, 0), min((block + 1) * BLOCK - above, features.shape[0])):
                 for j in range(max(across * BLOCK - before, 0), min((across + 1) * BLOCK - before, features.shape[1])):
                     each = features[i, j]
                     brightest, most = max(each[0], each[1], each[2]), limit * each[ALPHA]
                     if brightest > most:
-                        # The brighter, the more of it is a lamp's: what is twice too bright has half of the limit.
-                        dimmed = max(most * most / brightest, mean * each[ALPHA])
+                        scale = np.float32(dimmed(brightest, most) / brightest)
                         for c in range(ALPHA):
-                            each[c] *= np.float32(dimmed / brightest)
+                            each[c] *= scale
 
 
 @kernel

@@ -325,11 +325,11 @@ def test_scattering_keeps_the_number_of_samples():
 # --- normalisation and filling
 
 
-def behind_hole(colour, seen):
+def behind_hole(colour, seen, blur=None):
     """Put sums of a layer of a colour (H, W, 3), of which a share was seen, behind nothing."""
     sums = np.concatenate([colour * seen[..., None], seen[..., None]], axis=2).astype(np.float32)
     image = np.zeros((*seen.shape, 4), np.float32)
-    add_layer(image, sums, (0, 0), REST, seen=np.zeros_like(sums[..., 3]))
+    add_layer(image, sums, (0, 0), REST, seen=np.zeros_like(sums[..., 3]), blur=blur)
     return image
 
 
@@ -366,6 +366,21 @@ def test_where_little_was_seen_the_surroundings_count_more():
     colour, seen = np.full((32, 32, 3), 0.5), np.ones((32, 32))
     colour[16, 16], seen[16, 16] = 4.0, 0.03
     assert 0.5 < behind_hole(colour, seen)[16, 16, 0] < 1.0
+
+
+@pytest.mark.interpreted
+def test_a_hole_is_not_filled_with_the_light_of_a_lamp_beside_it():
+    colour, seen = np.full((32, 32, 3), 0.5), hole((32, 32), slice(None), slice(16, None))
+    colour[14:18, 13:16] = 30.0
+    filled = behind_hole(colour, seen, blur=2.0)
+    assert filled[:, 16:, 0].max() < 0.7, filled[:, 16:, 0].max()
+    assert np.allclose(filled[:, :16, :3], colour[:, :16]), "what was seen stays"
+    assert behind_hole(colour, seen)[:, 16:, 0].max() > 5.0, "where lamps may be as likely as anything else"
+
+
+def test_a_hole_in_a_bright_layer_is_as_bright():
+    colour, seen = np.full((32, 32, 3), 30.0), hole((32, 32), slice(None), slice(16, None))
+    assert np.allclose(behind_hole(colour, seen, blur=2.0)[..., 0], 30.0, rtol=1e-5)
 
 
 def test_samples_that_passed_make_a_layer_transparent():
