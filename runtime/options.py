@@ -44,12 +44,14 @@ LEAST_PROXY = 1 / 64
 
 DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
-DEFAULT_LAYERS = 5
+SAMPLE_TOLERANCE = 3.0 * DEFAULT_TOLERANCE
+"""That of samples, whose noise is more than that."""
+DEFAULT_LAYERS = 7
 """Layers of a buffer of samples."""
 MOST_LAYERS = 12
 """Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""
 MAX_LAYERS = 64
-SAMPLE_SOFTNESS, FRAME_SOFTNESS = 1.0, 0.0
+SAMPLE_SOFTNESS, FRAME_SOFTNESS = 0.8, 0.0
 """Width of the transition from one layer to the next, in layers: samples are many, and their layers few."""
 SAMPLE_CLAMP = 32.0
 """How many times as bright as all others around it a sample may be, by default."""
@@ -67,8 +69,9 @@ class Options(Controls):
         Poisson solver, see `spreadlets.runtime.integrate.convolution_pyramid.integrate`.
     cycles : int
         Cycles of the integrator ``multigrid``; the others take no notice.
-    tolerance : float
-        Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel.
+    tolerance : float or None
+        Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel. By
+        default one step of an 8-bit display for a frame, and three for samples.
     layers : int or None
         Depth layers, of a frame at most; by default those that the frame has, or as many as it needs.
     softness : float or None
@@ -107,7 +110,7 @@ class Options(Controls):
     motion: bool = True
     integrator: str = DEFAULT_INTEGRATOR
     cycles: int = DEFAULT_CYCLES
-    tolerance: float = DEFAULT_TOLERANCE
+    tolerance: float | None = None
     layers: int | None = None
     softness: float | None = None
     firefly_clamp: float | None = None
@@ -131,9 +134,9 @@ class Options(Controls):
             raise InvalidParameterError(f"{option('integrator')} {self.integrator!r} is unknown: allowed are {known}")
         whole_cycles = isinstance(self.cycles, int | np.integer) and self.cycles >= 0
         check_value("cycles", self.cycles, "whole numbers from 0", whole_cycles)
-        check_value(
-            "tolerance", self.tolerance, "0 (off) to below 1 (the displayed range)", 0.0 <= self.tolerance < 1.0
-        )
+        if self.tolerance is not None:
+            allowed = "0 (off) to below 1 (the displayed range)"
+            check_value("tolerance", self.tolerance, allowed, 0.0 <= self.tolerance < 1.0)
         # Layers of depth.
         if self.layers is not None:
             check_value("layers", self.layers, f"1 to {MAX_LAYERS}", self.layers in range(1, MAX_LAYERS + 1))

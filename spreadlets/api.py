@@ -92,8 +92,8 @@ def synthesize(
         Cycles of the integrator ``multigrid``: each takes the error down further.
     tolerance : float, optional
         Error of the displayed image, as a share of its range, that may be traded for speed by drawing blocks of like
-        pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display. The other
-        methods always treat every pixel by itself.
+        pixels as one; 0 draws every pixel by itself. The default is one step of an 8-bit display, of samples
+        three. The other methods always treat every pixel by itself.
     layers : int, optional
         Depth layers, at most. By default a frame that comes in layers keeps them, and any other is divided into as many
         as it needs, at most 12; 1 draws all pixels into one image and normalises it by accumulated weight.

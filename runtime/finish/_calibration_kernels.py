@@ -36,26 +36,18 @@ def add_samples(begin, end, radiance, place, coc, number, total, count, blur):
 
 
 @helper
-def _add_pixel(sums, plane, i, j, product, square, value):
-    """Add a pixel to the sums of its block, see `block_sums`."""
+def _with_pixel(sums, product, square, value):
+    """Return the sums of a block with those of a pixel, see `block_sums`."""
     part = product - square
-    sums[0, plane, i, j] += product
-    sums[1, plane, i, j] += square
-    sums[2, plane, i, j] += part * part
-    sums[3, plane, i, j] += part * part * part * part
-    sums[4, plane, i, j] += value
+    part *= part
+    return sums[0] + product, sums[1] + square, sums[2] + part, sums[3] + part * part, sums[4] + value
 
 
 @helper
-def _mean_radii(blur, count, side, i, spread):
-    """Fill a row of blocks with mean CoC radii, see `block_sums`."""
-    for j in range(-(-count.shape[1] // side)):
-        samples, radii = np.float32(0.0), np.float32(0.0)
-        for row in range(i * side, min((i + 1) * side, count.shape[0])):
-            for col in range(j * side, min((j + 1) * side, count.shape[1])):
-                samples += count[row, col]
-                radii += blur[row, col]
-        spread[i, j] = radii / samples if samples > np.float32(0.0) else np.float32(0.0)
+def _store(sums, planes, number, i, j):
+    """Write the sums of a block to their planes."""
+    planes[0, number, i, j], planes[1, number, i, j], planes[2, number, i, j] = sums[0], sums[1], sums[2]
+    planes[3, number, i, j], planes[4, number, i, j] = sums[3], sums[4]
 
 
 @kernel
@@ -87,27 +79,40 @@ def block_sums(begin, end, layer, own, every, limits, side, colour, cover, sprea
     total, count, blur = own
     height, width = count.shape
     least_share, floor, least_variance = limits
+    none = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, end):
-        _mean_radii(blur, count, side, i, spread)
-        for row in range(i * side, min((i + 1) * side, height)):
-            for col in range(width):
-                j, n, share = col // side, np.float64(count[row, col]), np.float64(layer[row, col, 3])
-                if share < least_share:
-                    continue
-                # Compare how much of the pixel shows the layer with the share of the samples that do.
-                weight = 1.0 / (max(share * (1.0 - share), 0.0) + least_variance)
-                product, square = weight * share * n, weight * share * share * every[row, col]
-                _add_pixel(cover, 0, i, j, product, square, share)
-                if n == 0.0:
-                    continue
-                # Compare its colour there with theirs.
-                scale = 1.0 / share
-                red, green, blue = layer[row, col, 0] * scale, layer[row, col, 1] * scale, layer[row, col, 2] * scale
-                bright = (red + green + blue) / 3.0
-                weight = 1.0 / (bright * bright + floor * floor)
-                _add_pixel(colour, 0, i, j, weight * red * total[row, col, 0], weight * n * red * red, red)
-                _add_pixel(colour, 1, i, j, weight * green * total[row, col, 1], weight * n * green * green, green)
-                _add_pixel(colour, 2, i, j, weight * blue * total[row, col, 2], weight * n * blue * blue, blue)
+        for j in range(-(-width // side)):
+            covers, reds, greens, blues, samples, radii = none, none, none, none, 0.0, 0.0
+            for row in range(i * side, min((i + 1) * side, height)):
+                for col in range(j * side, min((j + 1) * side, width)):
+                    n, share = np.float64(count[row, col]), np.float64(layer[row, col, 3])
+                    samples, radii = samples + n, radii + np.float64(blur[row, col])
+                    if share < least_share:
+                        continue
+                    # Compare how much of the pixel shows the layer with the share of the samples that do.
+                    weight = 1.0 / (max(share * (1.0 - share), 0.0) + least_variance)
+                    product, square = weight * share * n, weight * share * share * every[row, col]
+                    covers = _with_pixel(covers, product, square, share)
+                    if n == 0.0:
+                        continue
+                    # Compare its colour there with theirs.
+                    scale = 1.0 / share
+                    red, green, blue = (
+                        layer[row, col, 0] * scale,
+                        layer[row, col, 1] * scale,
+                        layer[row, col, 2] * scale,
+                    )
+                    bright = (red + green + blue) / 3.0
+                    weight = 1.0 / (bright * bright + floor * floor)
+                    red_weight, green_weight, blue_weight = weight * red, weight * green, weight * blue
+                    reds = _with_pixel(reds, red_weight * total[row, col, 0], red_weight * n * red, red)
+                    greens = _with_pixel(greens, green_weight * total[row, col, 1], green_weight * n * green, green)
+                    blues = _with_pixel(blues, blue_weight * total[row, col, 2], blue_weight * n * blue, blue)
+            spread[i, j] = radii / samples if samples > 0.0 else 0.0
+            _store(covers, cover, 0, i, j)
+            _store(reds, colour, 0, i, j)
+            _store(greens, colour, 1, i, j)
+            _store(blues, colour, 2, i, j)
 
 
 @kernel

@@ -123,7 +123,7 @@ def _enlarged(planes: FloatArray, factor: int) -> FloatArray:
     """Return planes (n, rows, cols) with as many times the rows and columns, interpolated linearly."""
     for _ in range(2):
         size = planes.shape[1]
-        padded = np.pad(planes, ((0, 0), (1, 1), (0, 0)), mode="edge")
+        padded = np.concatenate([planes[:, :1], planes, planes[:, -1:]], axis=1)
         result = np.empty((len(planes), factor * size, planes.shape[2]), np.float32)
         for k in range(factor):
             place = 1.0 + (k + 0.5) / factor - 0.5

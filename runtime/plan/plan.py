@@ -25,7 +25,7 @@ from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
-from spreadlets.runtime.options import FRAME_SOFTNESS, SAMPLE_SOFTNESS, Options
+from spreadlets.runtime.options import DEFAULT_TOLERANCE, FRAME_SOFTNESS, SAMPLE_SOFTNESS, SAMPLE_TOLERANCE, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_limit, extended_pass
@@ -261,7 +261,9 @@ def plan_pixels(
     LKS sections 6.2 (nearest sample, symmetries) and 6.4 (fast track).
     """
     # Choose the variants, and read their cells.
-    tolerance = 0.0 if dense_psf else options.tolerance
+    tolerance = SAMPLE_TOLERANCE if stochastic else DEFAULT_TOLERANCE
+    tolerance = tolerance if options.tolerance is None else options.tolerance
+    tolerance = 0.0 if dense_psf else tolerance
     makers = dense_psf, exact_psf
     chosen = _choose(pixel_sets, database, tolerance, *makers, stochastic=stochastic, lights=lights, shared=shared)
     # Assign the pixels to depth layers.
