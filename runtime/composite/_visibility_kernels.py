@@ -13,6 +13,8 @@ LEAST_UNCOVERED = np.float32(0.05)
 """Share of a pixel that a layer leaves uncovered, and not just because its share is not known better."""
 MIXED = np.float32(1e-3)
 """The same of a pixel that shows some of what lies beyond itself."""
+STEP_PX = 2.0
+"""Between the places along a path that are looked at, px."""
 ROWS_LOOKED_AT = 8
 """About so many rows, to either side of a pixel, tell whether something uncovered lies as near as the pixel blurs."""
 
@@ -258,3 +260,79 @@ def scatter_passing(members, number, sample, moments, padding, passing):
                         across = right_share if right else np.float32(1.0) - right_share
                         along = below_share if down else np.float32(1.0) - below_share
                         passing[i, j] += weight * across * along
+
+
+@kernel
+def sum_paths(begin, end, members, path, number, side, sums):
+    """Sum up, in rows of tiles, how the samples of a layer move.
+
+    Parameters
+    ----------
+    members : tuple of ndarrays of shape (H, W)
+        Variant, layer and share of the next one, as for `layer_labels`.
+    path : ndarray of shape (H, W, 2), float32
+        How far each moves while the shutter is open, px (dx, dy).
+    number : int
+        The layer.
+    side : int
+        Of a tile, px.
+    sums : ndarray of shape (4, h, w), float32
+        Of shares, of shares times dx, dy and squared lengths; changed.
+    """
+    variant, layer, farther = members
+    for tile in range(begin, end):
+        for row in range(tile * side, min((tile + 1) * side, variant.shape[0])):
+            for col in range(variant.shape[1]):
+                if variant[row, col] < 0 or not number - 1 <= layer[row, col] <= number:
+                    continue
+                share = np.float32(1.0) - farther[row, col] if layer[row, col] == number else farther[row, col]
+                if share > np.float32(0.0):
+                    j, x, y = col // side, path[row, col, 0], path[row, col, 1]
+                    sums[0, tile, j] += share
+                    sums[1, tile, j] += share * x
+                    sums[2, tile, j] += share * y
+                    sums[3, tile, j] += share * (x * x + y * y)
+
+
+@helper
+def _sum_along(passing, path, side, padding, row, col, way, steps):
+    """Return the sum of what passed at some steps along one half of a path that follows those around; the last half."""
+    height, width = passing.shape
+    scale = np.float32(0.5 * way / steps)
+    y, x, total = np.float32(row + 0.5), np.float32(col + 0.5), np.float32(0.0)
+    i, j = row // side, col // side
+    for step in range(1, steps + 1):
+        x += scale * path[i, j, 0]
+        y += scale * path[i, j, 1]
+        top, left = int(y + padding), int(x + padding)
+        top, left = min(max(top, 0), height - 1), min(max(left, 0), width - 1)
+        total += passing[top, left] * np.float32(0.5 if step == steps else 1.0)
+        i = min(max((top - padding) // side, 0), path.shape[0] - 1)
+        j = min(max((left - padding) // side, 0), path.shape[1] - 1)
+    return total
+
+
+@kernel
+def blur_along(begin, end, passing, path, side, padding, blurred):
+    """Blur what passed a layer along the layer's own paths.
+
+    Parameters
+    ----------
+    passing : ndarray of shape (H + 2 padding, W + 2 padding), float32
+    path : ndarray of shape (h, w, 3), float32
+        Mean path of the layer around each tile of ``side`` px, (dx, dy), and whether there is any of it.
+    blurred : ndarray of shape (H, W), float32
+        Filled.
+    """
+    for row in range(begin, end):
+        i = row // side
+        for col in range(blurred.shape[1]):
+            j = col // side
+            own = passing[row + padding, col + padding]
+            steps = int(math.ceil(0.5 * math.hypot(path[i, j, 0], path[i, j, 1]) / STEP_PX))
+            if path[i, j, 2] == np.float32(0.0) or steps == 0:
+                blurred[row, col] = own
+                continue
+            total = own + _sum_along(passing, path, side, padding, row, col, 1.0, steps)
+            total += _sum_along(passing, path, side, padding, row, col, -1.0, steps)
+            blurred[row, col] = total / np.float32(2 * steps)

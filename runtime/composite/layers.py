@@ -13,7 +13,7 @@ from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import cleared
-from spreadlets.runtime.composite import _visibility_kernels
+from spreadlets.runtime.composite import _sweep_kernels, _visibility_kernels
 from spreadlets.runtime.composite.sweep import enlarged, reduced_blur, reduction
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.plan.layering import Membership
@@ -25,6 +25,15 @@ BLOCKS_AROUND, FARTHEST_BLOCKS = 3.0, 24.0
 as a disc may be, see `runtime.composite._sweep_kernels`."""
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
 """Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
+LEAST_LENGTH = 6.0
+"""Root mean square path, px, from which a layer blurs along its own; and what is left to all sides at least: what is
+counted here and there is less noisy as the mean over some pixels."""
+FACTOR = 2
+"""That blur is done in pixels so many times as wide."""
+PATH_TILE, PATH_AROUND = 8, 1
+"""Side of the tiles that have one path, px, and so many tiles around that tell it."""
+TINY_SHARE = np.float32(1e-3)
+"""Samples of a layer, around a tile, that are none."""
 MOST_PADDING, LEAST_PADDING = 2, 1024
 """How far beyond the border samples repeat at most, in longer sides of the frame, or px if that is more."""
 
@@ -171,7 +180,9 @@ def _padding(passes: Sequence[tuple[Membership, Image, Image, Image]], moments: 
     return 2.0 * moments.box_half_width() + farthest + 1.0
 
 
-def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], number: int, moments: Moments) -> Image:
+def passing_samples(
+    passes: Sequence[tuple[Membership, Image, Image, Image]], paths: Sequence[Image], number: int, moments: Moments
+) -> Image:
     """Return the number of samples that passed a layer, blurred as the layer is, shape (H, W).
 
     Beyond the frame's border the nearest samples repeat, as they do for splats.
@@ -180,25 +191,61 @@ def passing_samples(passes: Sequence[tuple[Membership, Image, Image, Image]], nu
     ----------
     passes : sequence of (members, offset, lens_uv, time)
         The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time: contiguous.
+    paths : sequence of ndarray of shape (H, W, 2), float32
+        How far each sample moves while the shutter is open, px.
     number : int
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
     """
     height, width = passes[0][0].variant.shape
+    local = None
+    if moments.length_squared > LEAST_LENGTH**2:
+        # What moves alike blurs along its paths, what is left to all sides.
+        local, unlike = _local_paths([each[0] for each in passes], paths, number)
+        moments = moments._replace(length_squared=max(unlike, LEAST_LENGTH**2))
     # Find how far beyond the border samples count; of what blurs wider than a few frames all counts are even.
     most = max(LEAST_PADDING, MOST_PADDING * max(height, width))
     needed = _padding(passes, moments)
     if needed > most:
         moments = moments.scaled(most / needed)
         needed = min(_padding(passes, moments), 2.0 * most)
-    padding = math.ceil(needed)
+    padding = FACTOR * math.ceil(needed / FACTOR)
     # Count the samples where they passed, and blur.
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
     layer = moments.coc, *moments.motion
     for members, *sample in passes:
         _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
     blurred = box_blurred(passing, moments.box_half_width(), times=2)
-    return np.maximum(blurred[padding : padding + height, padding : padding + width], np.float32(0.0))
+    if local is None:
+        inner = blurred[padding : padding + height, padding : padding + width]
+    else:
+        inner = _blurred_along(blurred, local, padding, (height, width))
+    return np.maximum(inner, np.float32(0.0))
+
+
+def _blurred_along(passing: Image, local: Image, padding: int, shape: tuple[int, int]) -> Image:
+    """Blur what passed a layer along its paths, in pixels `FACTOR` times as wide; return it within the padding."""
+    small = np.empty([-(-size // FACTOR) for size in passing.shape], np.float32)
+    for_bands(_sweep_kernels.shrink, len(small), passing, FACTOR, small)
+    inner = np.empty([-(-size // FACTOR) for size in shape], np.float32)
+    path = local * np.float32((1.0 / FACTOR, 1.0 / FACTOR, 1.0))
+    given = small, path, PATH_TILE // FACTOR, padding // FACTOR
+    for_bands(_visibility_kernels.blur_along, len(inner), *given, inner)
+    return enlarged(inner, shape, FACTOR)
+
+
+def _local_paths(members: Sequence[Membership], paths: Sequence[Image], number: int) -> tuple[Image, float]:
+    """Return a layer's mean paths around tiles, see `blur_along`, and the mean square of what differs from them."""
+    shape = members[0].variant.shape
+    sums = np.zeros((4, *(-(-size // PATH_TILE) for size in shape)), np.float32)
+    for each, path in zip(members, paths, strict=True):
+        for_bands(_visibility_kernels.sum_paths, sums.shape[1], tuple(each), path, number, PATH_TILE, sums)
+    share, x, y, square = (box_blurred(np.ascontiguousarray(each), PATH_AROUND, times=2) for each in sums)
+    found = np.maximum(share, TINY_SHARE)
+    seen = box_blurred(np.ascontiguousarray(sums[0]), PATH_AROUND) > TINY_SHARE
+    local = np.stack([x / found, y / found, seen.astype(np.float32)], axis=-1)
+    unlike = float((square - (x * x + y * y) / found).sum(dtype=np.float64) / max(float(share.sum()), 1e-6))
+    return local, max(unlike, 0.0)
 
 
 def _largest(values: Image) -> float:

@@ -176,6 +176,7 @@ class PassingSamples:
             for each in (samples.offset, samples.lens_uv, since_centre)
         )
         self._passes = list(zip(self.members, offset, lens, time, strict=True))
+        self._paths = [each.labels.whole_path for each in pixel_sets]
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
             # They passed the layers through the lens that took them, even where its blur is taken out of the image.
@@ -200,7 +201,7 @@ class PassingSamples:
         moments = self.moments[number]
         if moments is None:
             return None
-        return layers.passing_samples(self._passes, number, moments)
+        return layers.passing_samples(self._passes, self._paths, number, moments)
 
     def guessed_blur(self, number: int) -> None:
         """Return nothing: other samples saw what lies hidden."""
