@@ -29,7 +29,7 @@ def one_thread():
 def small_combined_path(tmp_path_factory):
     """A database of a few cells, built once for the whole run: CoC to 12 px, motion to 16 px."""
     path = tmp_path_factory.mktemp("databases") / "small.h5"
-    build_database("combined", path, samples=28, max_coc=12.0, max_motion=16.0, seed=1)
+    build_database("combined", path, samples=28, max_coc=12.0, max_motion=16.0, seed=1, jobs=1)
     return path
 
 
