@@ -3,7 +3,8 @@
     python benchmarks/render_times.py [--frames DIR]
 
 Read from the cameras' files, where `scenes/render.py` records them. A reference is rendered in two halves; how well
-they agree (SSIM) tells how much noise is left. Writes render_times.txt to benchmarks/results.
+they agree (SSIM), as rendered and denoised, tells how much noise is left. Writes render_times.txt to
+benchmarks/results.
 """
 
 import json
@@ -14,14 +15,15 @@ from scenes import SCENES, Report, parser
 def main() -> None:
     folder = parser(__doc__).parse_args().frames
     report = Report()
-    report.row("frame", "px", "samples", "s", "s for each", "halves", first=22)
+    report.row("frame", "px", "samples", "s", "s for each", "halves", "denoised", first=22)
     for path in (folder / f"{name}.json" for name in (*SCENES, "rain")):
         told = json.loads(path.read_text()) if path.exists() else {}
         for image, counts in told.get("render", {}).items():
             if not image.startswith(("ref", "noisy")) or not isinstance(counts, dict):
                 continue
             for count, found in counts.items():
-                seconds, halves = found["render_time_s"], found.get("halves_ssim", "-")
+                seconds = found["render_time_s"]
+                halves, denoised = (found.get(name, "-") for name in ("halves_ssim", "denoised_halves_ssim"))
                 size = f"{told['width']} x {told['height']}"
                 report.row(
                     f"{path.stem}_{image}",
@@ -30,6 +32,7 @@ def main() -> None:
                     f"{seconds:.1f}",
                     f"{seconds / int(count):.3f}",
                     halves,
+                    denoised,
                     first=22,
                 )
     if len(report.lines) == 1:

@@ -37,6 +37,21 @@ def channels(
     return made
 
 
+def motion_at_frame(vectors: np.ndarray, time: float) -> np.ndarray:
+    """Return the motion that samples are labelled with: px per frame at the frame's time, y down.
+
+    Parameters
+    ----------
+    vectors : ndarray of shape (H, W, 4)
+        As Cycles gives them at the time of the rendering, from the current place to the previous one, and from the next
+        to the current; y up.
+    time : float
+        Of the rendering, frames from the frame's time. What turns moves another way then.
+    """
+    before, after = vectors[..., :2] * (-1, 1), vectors[..., 2:] * (-1, 1)
+    return 0.5 * (before + after) - time * (after - before)
+
+
 def write_image(path: Path, of: Mapping[str, np.ndarray]) -> None:
     """Write an image of one part."""
     OpenEXR.File(dict(HEADER), dict(of)).write(str(path))

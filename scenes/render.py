@@ -16,11 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from frame_files import FAR_M, channels, filled, write_camera, write_image, write_samples
+from frame_files import FAR_M, channels, filled, motion_at_frame, write_camera, write_image, write_samples
 from glass_camera import WIDEST_PART, attach, detach, part_of_pupil, source
 from passes import Renderer
-
-from spreadlets.metrics import ssim
+from references import reference as made_of
 
 SCENES = ("coins", "whirl", "fence", "gear", "rain")
 SAMPLES = {
@@ -37,7 +36,7 @@ NOISY = (1, 4, 16)
 N_VIEWS, SAMPLES_OF_A_VIEW, SAMPLES_OF_A_PIXEL = 64, 4, 4
 """Points of lens, shutter and pixel that samples are taken at; how often each is lit; how many of them a pixel gets."""
 HALVES = (7, 20)
-"""Seeds: a reference is the mean of two, which also tell how much noise is left."""
+"""Seeds: a reference is made of two renderings, which also tell how much noise is left."""
 
 
 class Frame:
@@ -117,13 +116,12 @@ def glass_references(frame: Frame) -> None:
 
 
 def reference(frame: Frame, ending: str, **blurs: bool) -> None:
-    """Render an image in two halves, and write their mean."""
+    """Render an image in two halves, and write what they make together."""
     count = frame.count(ending) // 2
     halves = [frame.renderer.render(count, seed=seed, **blurs) for seed in HALVES]
-    first, second = (half.colour[..., :3] for half in halves)
-    write_image(frame.path(ending), channels((first + second) / 2))
-    seconds, agreement = sum(half.seconds for half in halves), round(float(ssim(first, second)), 4)
-    frame.tell(ending, 2 * count, seconds, halves_ssim=agreement)
+    image, found = made_of(*(half.colour[..., :3] for half in halves))
+    write_image(frame.path(ending), channels(image))
+    frame.tell(ending, 2 * count, sum(half.seconds for half in halves), **found)
 
 
 def noisy(frame: Frame) -> None:
@@ -170,9 +168,8 @@ def samples(frame: Frame) -> None:
     for view in range(N_VIEWS):
         frame.renderer.look_through(*map(float, lens[view]), tuple(map(float, offsets[view])))
         image = frame.renderer.render(SAMPLES_OF_A_VIEW, points=True, time_frames=float(times[view]), seed=view)
-        x, y, z, w = np.moveaxis(image.vectors, -1, 0)
-        # Vectors point from the current place to the previous one, and from the next to the current, with y up.
-        values = (*np.moveaxis(image.colour[..., :3], -1, 0), image.depth, (-z - x) / 2, (w + y) / 2)
+        motion = motion_at_frame(image.vectors, float(times[view]))
+        values = (*np.moveaxis(image.colour[..., :3], -1, 0), image.depth, *np.moveaxis(motion, -1, 0))
         here = taken == view
         for name, each in zip(rendered, values, strict=True):
             rendered[name][here] = np.broadcast_to(each[..., None], here.shape)[here]

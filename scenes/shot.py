@@ -92,7 +92,7 @@ class Shot:
             "depth": "channel Z, planar metres, at the pixel's centre",
             "vector": "Vector.X,Y,Z,W, px per frame, y up; XY = P(previous) - P(current), ZW = P(current) - P(next)",
             "colour": "scene-linear Rec.709",
-            "denoised": "nothing",
+            "denoised": "references by Open Image Denoise (colour only, HDR), where it brings them nearer to the truth",
         }
 
     def glass_description(self, width: int) -> dict[str, object]:

@@ -297,8 +297,7 @@ def test_without_an_effect_samples_lie_where_they_would_be_seen(off):
 # Algorithms 1 and 2
 
 
-@pytest.mark.interpreted
-@pytest.mark.parametrize("aperture", ["disc", "gaussian"])
+@pytest.mark.parametrize("aperture", ["disc", pytest.param("gaussian", marks=pytest.mark.interpreted)])
 def test_tiles_are_what_every_pixel_gathers_from_every_sample(aperture):
     given = random_buffer(np.random.default_rng(5), height=11, width=18)
     method = Slr(aperture=aperture, tile=8, actual_range=False)

@@ -14,10 +14,10 @@ import spreadlets as sp
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scenes"))
-from frame_files import channels, filled, write_camera, write_image, write_samples  # noqa: E402  (scripts, no package)
+from frame_files import channels, filled, motion_at_frame, write_camera, write_image, write_samples  # noqa: E402  (scripts, no package)
 from shot import Glass, Shot  # noqa: E402
 
-NEEDED = "import bpy, OpenEXR, scipy, numba, h5py"
+NEEDED = "import bpy, OpenEXR, scipy, numba, h5py, pyoidn"
 """What rendering needs of its Python."""
 
 
@@ -54,6 +54,13 @@ def test_samples_are_read_as_they_were_written(tmp_path):
     np.testing.assert_allclose(read.motion[..., 1], given["motion.y"], rtol=1e-3)
     np.testing.assert_allclose(read.lens_uv[..., 0], given["lens.u"], rtol=1e-3)
     np.testing.assert_allclose(read.offset[..., 1], given["offset.y"], rtol=1e-3)
+
+
+def test_samples_tell_their_motion_at_the_frames_time():
+    velocity, acceleration, time = np.array([6.0, -2.0]), np.array([1.5, 4.0]), 0.25
+    before, now, after = (velocity * t + 0.5 * acceleration * t**2 for t in (time - 1, time, time + 1))
+    vectors = np.concatenate([before - now, now - after]) * [1, -1, 1, -1]
+    np.testing.assert_allclose(motion_at_frame(vectors, time), velocity)
 
 
 def test_light_that_no_half_float_holds_is_the_most_that_one_holds(tmp_path):
@@ -93,8 +100,9 @@ def test_a_camera_keeps_what_it_tells_of_other_images_of_its_size(tmp_path):
 def rendered(tmp_path_factory):
     """Render small frames of two scenes; give their folder."""
     folder = tmp_path_factory.mktemp("frames")
-    for scene, *parts in (("fence", "pinhole", "layers", "samples"), ("rain", "pinhole", "references", "samples")):
-        command = [BPY, ROOT / "scenes" / "render.py", scene, "--size", "64", "--effort", "0.02", "-o", folder]
+    asked = ("fence", 0.02, ("pinhole", "layers", "samples")), ("rain", 0.1, ("pinhole", "references", "samples"))
+    for scene, effort, parts in asked:
+        command = [BPY, ROOT / "scenes" / "render.py", scene, "--size", "64", "--effort", effort, "-o", folder]
         command += ["--parts", *parts]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True, check=False)

@@ -45,7 +45,6 @@ def in_frame(pixels):
     return colours, weights
 
 
-@pytest.mark.interpreted
 def test_a_pattern_goes_on_behind_a_post():
     behind = checkerboard()
     colours, share = hidden(post_before(behind))
@@ -66,17 +65,21 @@ def test_lines_go_on_across_a_narrow_gap():
     assert found.mean() > 0.25 and error[found].mean() < 0.05, (found.mean(), error[found].mean())
 
 
-@pytest.mark.interpreted
 def test_lamps_are_not_copied():
     behind = checkerboard()
     behind[[12, 36, 52], [22, 24, 40]] = 60.0
     assert hidden(post_before(behind))[0].max() < 2.0, "no pixel is much brighter than what is around"
-    # Nor are lamps so large that the mean around them is bright, too.
+
+
+@pytest.mark.interpreted
+def test_nor_are_lamps_so_large_that_the_mean_around_them_is_bright_too():
     behind = checkerboard()
     for row, col in ((12, 16), (36, 40), (52, 18)):
         behind[row : row + 4, col : col + 4] = 300.0
     assert hidden(post_before(behind))[0].max() < 8.0
-    # As bright as everything around is no lamp.
+
+
+def test_as_bright_as_everything_around_is_no_lamp():
     bright = 20.0 * checkerboard()
     colours, share = hidden(post_before(bright))
     assert np.median(np.abs(colours[..., :3] - bright)[8:-8, POST].max(axis=2)[share[8:-8, POST] > 0.5]) < 0.4
@@ -221,8 +224,7 @@ def test_a_frame_with_overscan_finds_what_the_wide_frame_does():
     assert found[0].any() and np.abs(found[0] - found[1]).max() < 0.006
 
 
-@pytest.mark.interpreted
-@pytest.mark.parametrize("angle", (0.0, 40.0))
+@pytest.mark.parametrize("angle", [0.0, pytest.param(40.0, marks=pytest.mark.interpreted)])
 def test_a_strand_goes_on_behind_a_post(angle):
     """A stalk in focus crosses a post out of focus, before a wall out of focus: as wide, as bright, along its line."""
     radiance, depth = np.full((SIZE, SIZE, 3), 0.4), np.full((SIZE, SIZE), depth_of(8.0))

@@ -32,8 +32,7 @@ def noise(sets, side=4):
     return inner.std() / inner.mean()
 
 
-@pytest.mark.interpreted
-@pytest.mark.parametrize("n_samples", [1, 4])
+@pytest.mark.parametrize("n_samples", [pytest.param(1, marks=pytest.mark.interpreted), 4])
 def test_random_samples_are_evened(n_samples):
     sets = scattered(np.random.default_rng(0), n_samples)
     assert noise(evened(sets, 1)) < 0.75 * noise(sets)

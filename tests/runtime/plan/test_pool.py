@@ -67,9 +67,8 @@ def as_dict(splats):
     return found
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("border", [False, True])
-@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize("n", [pytest.param(1, marks=pytest.mark.interpreted), 3])
 def test_splats_are_those_of_every_sample(border, n):
     rng = np.random.default_rng(n)
     samples = [make_samples(rng, border=border) for _ in range(n)]
@@ -161,8 +160,7 @@ def test_a_list_of_pixels_is_drawn_as_the_frame_s_pixels_are(border):
         np.testing.assert_allclose(found[key], colour, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.interpreted
-@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize("border", [pytest.param(False, marks=pytest.mark.interpreted), True])
 def test_a_pixel_with_several_places_is_drawn_as_so_many_pixels(border, monkeypatch):
     """On straight ways, on arcs and on parabolas; also where there is no more room after some of a pixel's places."""
     monkeypatch.setattr(pooling, "LEAST_SUMS", 1)

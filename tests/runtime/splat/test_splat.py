@@ -187,8 +187,7 @@ def shared_out(image, step):
     return image
 
 
-@pytest.mark.interpreted
-@pytest.mark.parametrize("step", [2, 4])
+@pytest.mark.parametrize("step", [2, pytest.param(4, marks=pytest.mark.interpreted)])
 def test_coarse_pixels_share_what_fine_ones_would_hold(step):
     rng = np.random.default_rng(13)
     table, sources = random_table(rng, 1), random_levels(rng)
