@@ -11,7 +11,7 @@ from blocks import QUARTER, add, ambient, area_light, box, material, moved, plan
 from mathutils import Matrix, Vector
 from shot import Shot
 
-SHOT = Shot(focal_length_mm=85, f_number=0.34, focus_distance_m=5.0, n_layers=3)
+SHOT = Shot(focal_length_mm=85, f_number=0.34, focus_distance_m=5.0, n_layers=3, light_samples=16)
 MODULE_M = 0.05
 """Pitch diameter of a gear over its number of teeth: gears that mesh have it in common."""
 ADDENDUM, DEDENDUM = 1.0, 1.25

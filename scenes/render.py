@@ -33,8 +33,8 @@ SAMPLES = {
 }
 """In each pixel, at an effort of 1."""
 NOISY = (1, 4, 16)
-N_VIEWS, SAMPLES_OF_A_VIEW, SAMPLES_OF_A_PIXEL = 64, 4, 4
-"""Points of lens, shutter and pixel that samples are taken at; how often each is lit; how many of them a pixel gets."""
+N_VIEWS, SAMPLES_OF_A_PIXEL = 64, 4
+"""Points of lens, shutter and pixel that samples are taken at, and how many of them a pixel gets."""
 HALVES = (7, 20)
 """Seeds: a reference is made of two renderings, which also tell how much noise is left."""
 
@@ -164,10 +164,10 @@ def samples(frame: Frame) -> None:
         "offset.y": offsets[taken, 1],
     }
     rendered = {name: np.zeros(taken.shape, np.float32) for name in ("R", "G", "B", "Z", "motion.x", "motion.y")}
-    seconds = 0.0
+    seconds, lit = 0.0, frame.shot.light_samples
     for view in range(N_VIEWS):
         frame.renderer.look_through(*map(float, lens[view]), tuple(map(float, offsets[view])))
-        image = frame.renderer.render(SAMPLES_OF_A_VIEW, points=True, time_frames=float(times[view]), seed=view)
+        image = frame.renderer.render(lit, points=True, time_frames=float(times[view]), seed=view)
         motion = motion_at_frame(image.vectors, float(times[view]))
         values = (*np.moveaxis(image.colour[..., :3], -1, 0), image.depth, *np.moveaxis(motion, -1, 0))
         here = taken == view
@@ -176,7 +176,7 @@ def samples(frame: Frame) -> None:
         seconds += image.seconds
     frame.renderer.look_through(0.0, 0.0, (0.0, 0.0))
     write_samples(frame.path("samples"), rendered | found)
-    frame.tell("samples", SAMPLES_OF_A_VIEW * N_VIEWS, seconds)
+    frame.tell("samples", lit * N_VIEWS, seconds)
 
 
 PARTS: dict[str, Callable[[Frame], None]] = {

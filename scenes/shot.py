@@ -43,6 +43,9 @@ class Shot:
         ``BOX``, 1 px wide, or ``BLACKMAN_HARRIS``, 1.5 px wide, Cycles' default, which anti-aliases.
     n_layers : int, optional
         Depth layers that the scene's objects are in.
+    light_samples : int, optional
+        How often each labelled sample is lit: what glossy surfaces show of an area light is noisy, and neither lens nor
+        shutter makes that noise.
     glass : Glass, optional
         The lens of which this is the thin one with the same pupil and image scale.
     """
@@ -56,6 +59,7 @@ class Shot:
     aspect: float = 1.0
     pixel_filter: str = "BOX"
     n_layers: int = 1
+    light_samples: int = 4
     glass: Glass | None = None
 
     @property
