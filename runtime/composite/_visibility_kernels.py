@@ -13,8 +13,8 @@ LEAST_UNCOVERED = np.float32(0.05)
 """Share of a pixel that a layer leaves uncovered, and not just because its share is not known better."""
 MIXED = np.float32(1e-3)
 """The same of a pixel that shows some of what lies beyond itself."""
-STEP_PX = 2.0
-"""Between the places along a path that are looked at, px."""
+STEP_PX, MOST_STEPS = 3.0, 64.0
+"""Between the places along a path that are looked at, px; and how many of them there are at most to either side."""
 ROWS_LOOKED_AT = 8
 """About so many rows, to either side of a pixel, tell whether something uncovered lies as near as the pixel blurs."""
 
@@ -295,7 +295,7 @@ def sum_paths(begin, end, members, path, number, side, sums):
 
 
 @helper
-def _sum_along(passing, path, side, padding, row, col, way, steps):
+def _sum_along(passing, path, side, row, col, way, steps):
     """Return the sum of what passed at some steps along one half of a path that follows those around; the last half."""
     height, width = passing.shape
     scale = np.float32(0.5 * way / steps)
@@ -304,21 +304,20 @@ def _sum_along(passing, path, side, padding, row, col, way, steps):
     for step in range(1, steps + 1):
         x += scale * path[i, j, 0]
         y += scale * path[i, j, 1]
-        top, left = int(y + padding), int(x + padding)
-        top, left = min(max(top, 0), height - 1), min(max(left, 0), width - 1)
+        top, left = min(max(int(y), 0), height - 1), min(max(int(x), 0), width - 1)
         total += passing[top, left] * np.float32(0.5 if step == steps else 1.0)
-        i = min(max((top - padding) // side, 0), path.shape[0] - 1)
-        j = min(max((left - padding) // side, 0), path.shape[1] - 1)
+        i, j = top // side, left // side
     return total
 
 
 @kernel
-def blur_along(begin, end, passing, path, side, padding, blurred):
+def blur_along(begin, end, passing, path, side, blurred):
     """Blur what passed a layer along the layer's own paths.
 
     Parameters
     ----------
-    passing : ndarray of shape (H + 2 padding, W + 2 padding), float32
+    passing : ndarray of shape (H, W), float32
+        Beyond its border the nearest pixels repeat.
     path : ndarray of shape (h, w, 3), float32
         Mean path of the layer around each tile of ``side`` px, (dx, dy), and whether there is any of it.
     blurred : ndarray of shape (H, W), float32
@@ -328,11 +327,12 @@ def blur_along(begin, end, passing, path, side, padding, blurred):
         i = row // side
         for col in range(blurred.shape[1]):
             j = col // side
-            own = passing[row + padding, col + padding]
-            steps = int(math.ceil(0.5 * math.hypot(path[i, j, 0], path[i, j, 1]) / STEP_PX))
+            own = passing[row, col]
+            half = 0.5 * math.hypot(path[i, j, 0], path[i, j, 1])
+            steps = int(math.ceil(min(half / STEP_PX, MOST_STEPS)))
             if path[i, j, 2] == np.float32(0.0) or steps == 0:
                 blurred[row, col] = own
                 continue
-            total = own + _sum_along(passing, path, side, padding, row, col, 1.0, steps)
-            total += _sum_along(passing, path, side, padding, row, col, -1.0, steps)
+            total = own + _sum_along(passing, path, side, row, col, 1.0, steps)
+            total += _sum_along(passing, path, side, row, col, -1.0, steps)
             blurred[row, col] = total / np.float32(2 * steps)

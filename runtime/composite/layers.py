@@ -209,29 +209,24 @@ def passing_samples(
     if needed > most:
         moments = moments.scaled(most / needed)
         needed = min(_padding(passes, moments), 2.0 * most)
-    padding = FACTOR * math.ceil(needed / FACTOR)
+    padding = math.ceil(needed)
     # Count the samples where they passed, and blur.
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
     layer = moments.coc, *moments.motion
     for members, *sample in passes:
         _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
     blurred = box_blurred(passing, moments.box_half_width(), times=2)
-    if local is None:
-        inner = blurred[padding : padding + height, padding : padding + width]
-    else:
-        inner = _blurred_along(blurred, local, padding, (height, width))
-    return np.maximum(inner, np.float32(0.0))
+    inner = blurred[padding : padding + height, padding : padding + width]
+    return np.maximum(inner if local is None else _blurred_along(inner, local), np.float32(0.0))
 
 
-def _blurred_along(passing: Image, local: Image, padding: int, shape: tuple[int, int]) -> Image:
-    """Blur what passed a layer along its paths, in pixels `FACTOR` times as wide; return it within the padding."""
-    small = np.empty([-(-size // FACTOR) for size in passing.shape], np.float32)
-    for_bands(_sweep_kernels.shrink, len(small), passing, FACTOR, small)
-    inner = np.empty([-(-size // FACTOR) for size in shape], np.float32)
-    path = local * np.float32((1.0 / FACTOR, 1.0 / FACTOR, 1.0))
-    given = small, path, PATH_TILE // FACTOR, padding // FACTOR
-    for_bands(_visibility_kernels.blur_along, len(inner), *given, inner)
-    return enlarged(inner, shape, FACTOR)
+def _blurred_along(passing: Image, local: Image) -> Image:
+    """Blur what passed a layer along its paths, in pixels `FACTOR` times as wide."""
+    small, blurred = np.empty((2, *(-(-size // FACTOR) for size in passing.shape)), np.float32)
+    for_bands(_sweep_kernels.shrink, len(small), np.ascontiguousarray(passing), FACTOR, small)
+    path = local * np.array((1.0 / FACTOR, 1.0 / FACTOR, 1.0), np.float32)
+    for_bands(_visibility_kernels.blur_along, len(small), small, path, PATH_TILE // FACTOR, blurred)
+    return enlarged(blurred, passing.shape, FACTOR)
 
 
 def _local_paths(members: Sequence[Membership], paths: Sequence[Image], number: int) -> tuple[Image, float]:

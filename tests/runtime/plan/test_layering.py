@@ -286,11 +286,11 @@ def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     offset, lens, time = np.zeros((9, 9, 2), np.float32), np.zeros((9, 9, 2), np.float32), np.zeros((9, 9), np.float32)
     offset[4, 4], lens[4, 4], time[4, 4] = (0.25, 0.0), (0.5, -0.5), 0.5
     moments = Moments(2.0, 0.0, 0.0, (0.0, 4.0))  # x: 4 + 0.25 - 2 * 0.5, y: 4 + 2 * 0.5 - 4 * 0.5
-    found = passing_samples([(members_of(layer), offset, lens, time)], 0, moments)
+    found = passing_samples([(members_of(layer), offset, lens, time)], [lens], 0, moments)
     expected = np.zeros((9, 9))
     expected[3, 3], expected[3, 4], expected[6, 2] = 0.75, 0.25, 1.0
     assert np.allclose(found, expected, atol=1e-6)
-    behind_both = passing_samples([(members_of(layer), offset, lens, time)], 1, moments)
+    behind_both = passing_samples([(members_of(layer), offset, lens, time)], [lens], 1, moments)
     assert behind_both.sum() == pytest.approx(1.0), "only what met nothing passes the second layer, too"
 
 
@@ -299,7 +299,8 @@ def test_samples_behind_what_blurs_over_many_frames_count_evenly(moments):
     layer = np.ones((9, 12), np.int32)
     layer[:, :6] = 0
     lens, time = np.zeros((9, 12, 2), np.float32), np.zeros((9, 12), np.float32)
-    found = passing_samples([(members_of(layer), lens, lens, time)], 0, moments)
+    path = np.full(lens.shape, moments.motion, np.float32)
+    found = passing_samples([(members_of(layer), lens, lens, time)], [path], 0, moments)
     assert np.abs(found - 0.5).max() < 0.02
 
 

@@ -1,0 +1,49 @@
+"""How many samples passed a layer: blurred along the layer's own paths."""
+
+import numpy as np
+import pytest
+
+from spreadlets.runtime.composite.layers import Moments, passing_samples
+from spreadlets.runtime.plan.layering import Membership
+
+SIZE, LENGTH = 96, 24.0
+
+
+def passed(paths, inside):
+    """Return what passed a layer that each sample ``inside`` (H, W) is of, and which moves along paths (H, W, 2)."""
+    layer = np.where(inside, 0, 1).astype(np.int32)
+    members = Membership(np.zeros_like(layer), layer, np.zeros(layer.shape, np.float32))
+    still = np.zeros((*layer.shape, 2), np.float32)
+    square = float((paths[inside] ** 2).sum(axis=-1).mean())
+    moments = Moments(0.0, 0.0, square, (0.0, 0.0), LENGTH / 2)
+    return passing_samples([(members, still, still, np.zeros(layer.shape, np.float32))], [paths], 0, moments)
+
+
+@pytest.mark.interpreted
+def test_across_a_path_what_passed_stays_sharp():
+    inside = np.zeros((SIZE, SIZE), bool)
+    inside[:, 32:64] = True
+    paths = np.zeros((SIZE, SIZE, 2), np.float32)
+    paths[..., 1] = LENGTH
+    found = passed(paths, inside)
+    assert found[48, 38:58] == pytest.approx(0.0, abs=0.02), "nothing passes what moves along its edge"
+    assert found[48, :26] == pytest.approx(1.0, abs=0.02)
+
+
+def test_along_a_path_it_is_blurred_as_the_layer_is():
+    inside = np.zeros((SIZE, SIZE), bool)
+    inside[:, 48:] = True
+    paths = np.zeros((SIZE, SIZE, 2), np.float32)
+    paths[..., 0] = LENGTH
+    found = passed(paths, inside)[48]
+    expected = np.clip(0.5 - (np.arange(SIZE) + 0.5 - 48) / LENGTH, 0, 1)
+    assert np.abs(found - expected)[48:].max() < 0.15, np.abs(found - expected)[48:].max()
+
+
+def test_what_turns_is_blurred_along_its_circles():
+    y, x = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
+    inside = np.hypot(x, y) < 30.0
+    paths = np.stack([-y, x], axis=-1).astype(np.float32) * np.float32(0.8)
+    found = passed(paths, inside)
+    rim = (np.hypot(x, y) > 22.0) & (np.hypot(x, y) < 25.0)
+    assert found[rim].mean() < 0.03, found[rim].mean()
