@@ -14,6 +14,8 @@ SMOOTHNESS = 0.05
 """The same for pixels that are taken for no blend: those of a blend's neighbours along an edge may be as close."""
 PURITY = 0.98
 """Share of a surface from which a pixel's depth is that of the surface."""
+STEPS_ALONG = 3
+"""So often, from what is thin, one like it is looked for that is purer: along it, some pixel's centre lies amid it."""
 
 NOTHING_REACH = 4
 """The same for a pixel with nothing in it: half a filter from the edge of a thing half a filter thick."""
@@ -102,6 +104,23 @@ def _lies_on_surface(depth, place, alpha, row, col, most):
     return False
 
 
+@helper
+def _purer(depth, place, alpha, start, most):
+    """Return a pixel that shows more of something thin, all of whose pixels are blends, than one of it does."""
+    height, width = place.shape
+    near = start
+    for _ in range(STEPS_ALONG):
+        if _lies_on_surface(depth, place, alpha, near[0], near[1], most):
+            break
+        row, col = near
+        for i in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+            for j in range(max(col - REACH, 0), min(col + REACH + 1, width)):
+                near = (i, j) if depth[i, j] < depth[near] else near
+        if near == (row, col):
+            break
+    return near
+
+
 @kernel
 def undo_filter(begin, end, depth, place, alpha, gap, source, share):
     """Find the pixels whose depth is a blend of two surfaces', and the nearest or farthest pixel that it is more of.
@@ -134,7 +153,10 @@ def undo_filter(begin, end, depth, place, alpha, gap, source, share):
                     far = (i, j) if depth[i, j] > depth[far] else far
             # Without a step in depth, or on its near side, the pixel is no blend.
             step = place[far] - place[near]
-            if step < gap or place[row, col] - place[near] <= (1.0 - PURITY) * step:
+            if step >= gap:
+                near = _purer(depth, place, alpha, near, (SMOOTHNESS * (depth[far] - depth[near]), SMOOTHNESS * step))
+                step = place[far] - place[near]
+            if step < gap or place[row, col] <= place[near]:
                 continue
             # Find how far its depth lies from the near one's to the far one's: a pure pixel, or a slope, is no blend.
             rise = depth[far] - depth[near]

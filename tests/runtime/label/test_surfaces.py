@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import ndimage
+from scipy import ndimage, special
 
 from spreadlets.runtime.label import _gap_kernels, surfaces
 from spreadlets.runtime.label.surfaces import (
@@ -125,6 +125,19 @@ def test_labels_are_those_of_a_surface_beside_the_pixel():
         is_near = depth < 0.5 * (NEAR + FAR)
         assert np.abs(depth - np.where(is_near, NEAR, FAR)).max() <= 0.05 * (FAR - NEAR)
         assert (motion[is_near] == 3.0).all() and (motion[~is_near] == -1.0).all()
+
+
+def test_all_along_a_stick_labels_are_those_of_its_purest_pixels():
+    """Through a Gaussian filter its depth is its own nowhere, and nearly so in few pixels only."""
+    y, x = np.mgrid[:48, :48]
+    across, deviation = (x - 0.15 * y - 6.0) / np.hypot(1.0, 0.15), 0.45
+    share = 0.5 * sum(special.erf((0.8 + side * across) / (np.sqrt(2.0) * deviation)) for side in (-1, 1))
+    radiance = share[..., None] * RED + (1.0 - share[..., None]) * BLUE
+    layer = Frame(radiance, FAR + share * (NEAR - FAR)).layers[0]
+    found = [inner(each.depth)[inner(used) > 0.0] for each, used in in_frame(split_surfaces(layer, CAMERA), share.shape)]
+    near = np.concatenate(found)
+    near = near[near < 0.5 * (NEAR + FAR)]
+    assert near.max() - near.min() < 0.003 * (FAR - NEAR)
 
 
 def test_an_element_over_nothing_is_one_surface():
