@@ -134,7 +134,9 @@ def test_all_along_a_stick_labels_are_those_of_its_purest_pixels():
     share = 0.5 * sum(special.erf((0.8 + side * across) / (np.sqrt(2.0) * deviation)) for side in (-1, 1))
     radiance = share[..., None] * RED + (1.0 - share[..., None]) * BLUE
     layer = Frame(radiance, FAR + share * (NEAR - FAR)).layers[0]
-    found = [inner(each.depth)[inner(used) > 0.0] for each, used in in_frame(split_surfaces(layer, CAMERA), share.shape)]
+    found = [
+        inner(each.depth)[inner(used) > 0.0] for each, used in in_frame(split_surfaces(layer, CAMERA), share.shape)
+    ]
     near = np.concatenate(found)
     near = near[near < 0.5 * (NEAR + FAR)]
     assert near.max() - near.min() < 0.003 * (FAR - NEAR)
