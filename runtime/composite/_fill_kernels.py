@@ -56,34 +56,39 @@ def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
 
 
 @kernel
-def sum_light(begin, end, padded, side, light):
-    """Sum up the evened light of a layer, and its weight, in rows of blocks.
+def sum_light(begin, end, padded, bits, first, light):
+    """Sum up the evened light of a layer, and its weight, in rows of blocks; every second row and column tells enough.
 
     Parameters
     ----------
     padded : ndarray of shape (rows, cols, 4), float32
         Sums of the layer's splats.
-    side : int
-        Of a block, px.
+    bits : int
+        Blocks have sides of 2^bits px.
+    first : tuple of two ints
+        Row and column, in its block, of the first pixel.
     light : ndarray of shape (2, h, w), float32
         Filled.
     """
+    side = 1 << bits
     for block in range(begin, end):
         light[0, block], light[1, block] = np.float32(0.0), np.float32(0.0)
-        for i in range(block * side, min((block + 1) * side, padded.shape[0])):
-            for j in range(padded.shape[1]):
+        top = block * side - first[0]
+        for i in range(top if top >= 0 else first[0] % 2, min(top + side, padded.shape[0]), 2):
+            for j in range(first[1] % 2, padded.shape[1], 2):
                 own = padded[i, j, 3]
                 if own > SOLVER_ERROR:
+                    across = (j + first[1]) >> bits
                     brightest = max(padded[i, j, 0], padded[i, j, 1], padded[i, j, 2], np.float32(0.0))
-                    light[0, block, j // side] += own * np.float32(evened(brightest / own))
-                    light[1, block, j // side] += own
+                    light[0, block, across] += own * np.float32(evened(brightest / own))
+                    light[1, block, across] += own
 
 
 @helper
-def _limit(limits, side, i, j):
-    """Interpolate the limits of blocks linearly at a pixel of the canvas."""
-    height, width = limits.shape
-    y, x = (i + 0.5) / side - 0.5, (j + 0.5) / side - 0.5
+def _limit(limits, bits, row, col):
+    """Interpolate the limits of blocks linearly at a pixel, counted from the first block's."""
+    (height, width), side = limits.shape, 1 << bits
+    y, x = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
     y, x = min(max(y, 0.0), height - 1.0), min(max(x, 0.0), width - 1.0)
     top, left = int(y), int(x)
     below, beside = min(top + 1, height - 1), min(left + 1, width - 1)
@@ -94,12 +99,12 @@ def _limit(limits, side, i, j):
 
 
 @helper
-def _without_lamps(limits, side, i, j, sums, measure):
-    """Return by what the colours of a pixel's sums are multiplied where they stand for others."""
+def _without_lamps(limits, least, bits, row, col, sums, measure):
+    """Return by what the colours of a pixel's sums are multiplied where they stand for others; see `pull_sums`."""
     light = max(sums[0], sums[1], sums[2])
-    if not limits.shape[0] or light <= np.float32(0.0):
+    if light <= measure * least[row >> bits, col >> bits]:
         return np.float32(1.0)
-    limit = measure * _limit(limits, side, i, j)
+    limit = measure * _limit(limits, bits, row, col)
     return np.float32(dimmed(light, limit) / light)
 
 
@@ -150,13 +155,15 @@ def add_layer(begin, end, image, beyond, padded, top, left, seen, kind):
 
 
 @kernel
-def pull_sums(begin, end, padded, top, left, seen, kind, limits, side, shape, odd, coarse):
+def pull_sums(begin, end, padded, top, left, seen, kind, lamps, shape, odd, coarse):
     """Fill ``coarse`` (H / 2, W / 2, 5), float32, with a layer's sums and their measure over 2 x 2 pixels.
 
-    ``limits`` (h, w), float32, or (0, 0) for none, is how bright what lies hidden may be in blocks of the canvas, of
-    ``side`` px. Other arguments are those of `add_layer`; ``shape`` is that of its image, and ``odd`` (2 integers) is 1
-    where the image's first row or column is the second of its pair.
+    ``lamps`` tells how bright what lies hidden may be: limits (h, w), float32, of blocks of 2^bits px, (0, 0) for none;
+    the least of each block and those beside it; bits; and row and column, in its block, of the canvas's first pixel.
+    Other arguments are those of `add_layer`; ``shape`` is that of its image, and ``odd`` (2 integers) is 1 where the
+    image's first row or column is the second of its pair.
     """
+    limits, least, bits, (down, across) = lamps
     rows, cols = padded.shape[:2]
     sums = padded.reshape(padded.size)
     for row in range(begin, end):
@@ -171,9 +178,13 @@ def pull_sums(begin, end, padded, top, left, seen, kind, limits, side, shape, od
                         each = load(sums, _U(4 * (i * cols + j)))
                     own = _measure(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
                     sure = _sure(own)
-                    colour = sure * _without_lamps(limits, side, i, j, each, own)
-                    total = add(total, multiply((colour, colour, colour, sure), each))
+                    total = add(total, multiply((sure, sure, sure, sure), each))
                     measure += sure * own
+            # What stands for what lies hidden holds no lamps.
+            i, j = 2 * row - odd[0] - top, 2 * col - odd[1] - left
+            if limits.shape[0] and 0 <= i < rows and 0 <= j < cols:
+                kept = _without_lamps(limits, least, bits, i + down, j + across, total, measure)
+                total = multiply((kept, kept, kept, np.float32(1.0)), total)
             for c in range(4):
                 coarse[row, col, c] = total[c]
             coarse[row, col, 4] = measure

@@ -13,6 +13,7 @@ from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
+from spreadlets.runtime.label.tiles import largest_around
 from spreadlets.runtime.plan._behind_kernels import BRIGHTEST
 from spreadlets.scans import count_alphas
 
@@ -22,8 +23,9 @@ coarser level, in pixels. What is missing to this is filled: the little that was
 over it than what was seen around."""
 MIN_SUM = 1e-9
 """Where not even the coarsest level has seen more than this, a layer is empty."""
-LEAST_SIDE = 8
-"""Of the blocks around which the brightness of a layer is taken, px; of wide blurs, that of the discs."""
+LEAST_BITS = 3
+"""Blocks around which the brightness of a layer is taken have sides of at least 2^3 px; of wide blurs, of their discs.
+"""
 FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
@@ -85,8 +87,8 @@ def add_layer(
     # Sum it up in the levels of a pyramid.
     odds = [_odd(corner, 0)]
     levels = [_half_size(image, odds[0])]
-    limits = (NOTHING, 1) if blur is None else _limits(padded, blur)
-    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, *limits, shape, odds[0], levels[0])
+    lamps = (NOTHING, NOTHING, 0, (0, 0)) if blur is None else _lamps(padded, origin, corner, blur)
+    for_bands(_fill_kernels.pull_sums, len(levels[0]), *sums, lamps, shape, odds[0], levels[0])
     while max(levels[-1].shape[:2]) > 1:
         odds.append(_odd(corner, len(levels)))
         levels.append(_half_size(levels[-1], odds[-1]))
@@ -99,14 +101,22 @@ def add_layer(
     for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound)
 
 
-def _limits(padded: Image, blur: float) -> tuple[Image, int]:
-    """Return how bright what lies hidden may be in blocks of a layer's sums, and their side, px."""
-    side = max(LEAST_SIDE, math.ceil(2.0 * blur))
-    light = np.empty((2, *(-(-size // side) for size in padded.shape[:2])), np.float32)
-    for_bands(_fill_kernels.sum_light, light.shape[1], padded, side, light)
+def _lamps(
+    padded: Image, origin: tuple[int, int], corner: tuple[int, int], blur: float
+) -> tuple[Image, Image, int, tuple[int, int]]:
+    """Return how bright what lies hidden may be in blocks of a layer's sums, see `_fill_kernels.pull_sums`.
+
+    Blocks lie as the picture's centre does.
+    """
+    bits = max(LEAST_BITS, math.ceil(math.log2(max(2.0 * blur, 1.0))))
+    first = (corner[0] + origin[0]) % (1 << bits), (corner[1] + origin[1]) % (1 << bits)
+    sizes = [-(-(size + own) // (1 << bits)) for size, own in zip(padded.shape[:2], first, strict=True)]
+    light = np.empty((2, *sizes), np.float32)
+    for_bands(_fill_kernels.sum_light, sizes[0], padded, bits, first, light)
     total, weight = (box_blurred(each, 1) for each in light)
-    limits = BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4
-    return limits.astype(np.float32), side
+    limits = (BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4).astype(np.float32)
+    # A pixel's limit is between those of its block and the ones beside.
+    return limits, -largest_around(-limits, 1), bits, first
 
 
 def _odd(corner: tuple[int, int], level: int) -> tuple[int, int]:
