@@ -46,7 +46,7 @@ DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 SAMPLE_TOLERANCE = 3.0 * DEFAULT_TOLERANCE
 """That of samples, whose noise is more than that."""
-DEFAULT_LAYERS = 6
+DEFAULT_LAYERS = 5
 """Layers of a buffer of samples."""
 MOST_LAYERS = 12
 """Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""

@@ -40,7 +40,7 @@ from spreadlets.runtime.label.sampled import sample_pixels, sample_steps
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces, undivided
 from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
 from spreadlets.runtime.plan.divide import divide_frames
-from spreadlets.runtime.plan.evening import EVENED_LAYERS, evened
+from spreadlets.runtime.plan.evening import evened
 from spreadlets.runtime.plan.plan import Drawing, Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import CAMERA, NOTHING_MOVES, VECTORS, Report, Tally, plan_figures
@@ -331,7 +331,7 @@ def reconstruct(
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
         n_layers = options.layers or DEFAULT_LAYERS
-        pixel_sets = evened(pixel_sets, min(n_layers, EVENED_LAYERS))
+        pixel_sets = evened(pixel_sets, n_layers)
         effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
         drawn = sample_steps(samples, pixel_sets, camera, effects)
         shows_samples = _shows_samples(samples, camera, database, options)

@@ -26,6 +26,8 @@ MIN_SUM = 1e-9
 LEAST_BITS = 3
 """Blocks around which the brightness of a layer is taken have sides of at least 2^3 px; of wide blurs, of their discs.
 """
+LEAST_WEIGHT, UNLIMITED = 1e-3, 1e30
+"""Weight of a layer around a block, px, that tells how bright it is; and how bright it may be where there is less."""
 FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
@@ -114,7 +116,10 @@ def _lamps(
     light = np.empty((2, *sizes), np.float32)
     for_bands(_fill_kernels.sum_light, sizes[0], padded, bits, first, light)
     total, weight = (box_blurred(each, 1) for each in light)
-    limits = (BRIGHTEST * (total / np.maximum(weight, np.float32(MIN_SUM))) ** 4).astype(np.float32)
+    # Where hardly anything of the layer is, nothing tells how bright it may be. Of a light's fourth root, the mean.
+    known = weight > LEAST_WEIGHT
+    mean = np.where(known, total, 0.0) / np.where(known, weight, 1.0)
+    limits = np.where(known, BRIGHTEST * mean**4, UNLIMITED).astype(np.float32)
     # A pixel's limit is between those of its block and the ones beside.
     return limits, -largest_around(-limits, 1), bits, first
 

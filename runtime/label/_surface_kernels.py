@@ -25,7 +25,7 @@ STRAND_LONGEST, STRAND_ALONG = 8, 4.0
 """The same along a strand with gaps: it covers a pixel as much as its point samples lie close along it."""
 ACROSS = 0.6
 """The same where there is no direction: at corners and dots."""
-TRUST_NEAR, TRUST_FAR = 0.3, 0.1
+TRUST_NEAR, TRUST_FAR = 0.15, 0.1
 """Deviations of the coverage that is found by that mean: within a pixel of the surface, and farther from it."""
 TRUST_DEPTH = 0.02
 """Deviation of a coverage that filtered depth tells."""

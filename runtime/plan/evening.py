@@ -26,8 +26,6 @@ CELL_PX, N_STEPS = 5, 128
 """Weights are 1 in the mean over cells of so many pixels and so many steps of parallax, and between them: how much of a
 surface was seen is left as it is. By layers alone, lamps before a wall lost 14 % of their light, with 64 steps 4 %, and
 with 128 or 256 less than 1 %."""
-EVENED_LAYERS = 4
-"""Depth layers, at most, within which each sample has its area: of more, fewer neighbours tell it: it is noisier."""
 USUAL_PX = 3
 """How far to all sides the box reaches that, applied twice, tells how many samples are usual around."""
 MARGIN_PX = 64

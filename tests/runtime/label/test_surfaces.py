@@ -114,7 +114,7 @@ def test_colours_tell_shares_before_what_varies_in_brightness_only():
     radiance = share[:, None] * RED + (1.0 - share[:, None]) * grey
     layer = Frame(radiance, np.where(column < 12, NEAR, FAR) * np.ones((size, 1))).layers[0]
     found = inner(near_share(in_frame(split_surfaces(layer, CAMERA), layer.shape)))[:, 12 - 3]
-    assert np.abs(found - 0.2).mean() < 0.06
+    assert np.abs(found - 0.2).mean() < 0.09
 
 
 def test_labels_are_those_of_a_surface_beside_the_pixel():
