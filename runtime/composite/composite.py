@@ -13,7 +13,7 @@ from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
-from spreadlets.runtime.label.tiles import largest_around
+from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.runtime.plan._behind_kernels import BRIGHTEST
 from spreadlets.scans import count_alphas
 
@@ -111,12 +111,12 @@ def _lamps(
     Blocks lie as the picture's centre does.
     """
     bits = max(LEAST_BITS, math.ceil(math.log2(max(2.0 * blur, 1.0))))
-    first = (corner[0] + origin[0]) % (1 << bits), (corner[1] + origin[1]) % (1 << bits)
-    sizes = [-(-(size + own) // (1 << bits)) for size, own in zip(padded.shape[:2], first, strict=True)]
-    light = np.empty((2, *sizes), np.float32)
-    for_bands(_fill_kernels.sum_light, sizes[0], padded, bits, first, light)
+    side, own = 1 << bits, (corner[0] + origin[0], corner[1] + origin[1])
+    first = own[0] % side, own[1] % side
+    light = np.empty((2, *tiling(padded.shape[:2], side, own)), np.float32)
+    for_bands(_fill_kernels.sum_light, light.shape[1], padded, bits, first, light)
     total, weight = (box_blurred(each, 1) for each in light)
-    # Where hardly anything of the layer is, nothing tells how bright it may be. Of a light's fourth root, the mean.
+    # The light is the fourth power of its evened mean; where hardly anything of the layer is, nothing tells it.
     known = weight > LEAST_WEIGHT
     mean = np.where(known, total, 0.0) / np.where(known, weight, 1.0)
     limits = np.where(known, BRIGHTEST * mean**4, UNLIMITED).astype(np.float32)
