@@ -10,7 +10,8 @@ import numpy as np
 
 from spreadlets.arrays import Image
 from spreadlets.runtime.label import _reprojection_kernels
-from spreadlets.runtime.label.surfaces import LEAST_GAP, places, take_features, weigh_pixels, with_features
+from spreadlets.runtime.label.scale import LEAST_GAP, places, separating_scale
+from spreadlets.runtime.label.surfaces import take_features, weigh_pixels, with_features
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
@@ -49,13 +50,14 @@ def reproject(layer: Layer, neighbours: Sequence[Layer], camera: ThinLens) -> tu
     -----
     Only pixels of one surface are moved. Each is divided bilinearly among four.
     """
-    hides = places(layer, camera)
+    scale = separating_scale(layer, camera)
+    hides = places(layer, scale)
     nearest = np.full(layer.shape, np.inf, np.float32)
     sums = np.zeros((*layer.shape, 5 + len(layer.depths) + 2 * len(layer.motions)), np.float32)
     moved = []
     for each in neighbours:
         neighbour = _directed(layer, each)
-        place = places(neighbour.layer, camera)
+        place = places(neighbour.layer, scale)
         place[neighbour.layer.radiance[..., 3] == 0.0] = np.inf
         purity = weigh_pixels(place, place, neighbour.layer.radiance)[0]
         moved.append((purity, place, neighbour.motion, neighbour.sign, take_features(neighbour.layer, layer)))

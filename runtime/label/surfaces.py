@@ -20,15 +20,12 @@ from spreadlets.parallel import for_bands
 from spreadlets.runtime.buffers import copied
 from spreadlets.runtime.label import _blend_kernels, _gap_kernels, _label_kernels, _surface_kernels, _width_kernels
 from spreadlets.runtime.label.lists import rows_of
+from spreadlets.runtime.label.scale import LEAST_GAP, places, separating_scale
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scans import count_alphas
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Layer
 
-LEAST_GAP = 0.7
-"""Difference of CoC radii, px, from which two surfaces are worth telling apart."""
-SCALES_PER_OCTAVE = 2
-"""Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
 GUESSING_LINES = 256
 """About so many rows, and columns, tell whether the depth is filtered."""
 FILTER_PIXELS = 1 << 12
@@ -118,14 +115,15 @@ def split_surfaces(layer: Layer, camera: ThinLens) -> Iterator[Surface]:
     """
     height, width = layer.shape
     layer = without_nothing(layer)
-    place, known = places(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    scale, known = separating_scale(layer, camera), np.full(layer.shape, -1.0, np.float32)
+    place = places(layer, scale)
     if not _mixed_tiles(place).any() or depth_is_noise(place):
         # There are no surfaces to tell apart.
         yield Surface(layer)
         return
     if depth_is_filtered(place):
         layer, known = without_filter(layer, place)
-        place = places(layer, camera)
+        place = places(layer, scale)
     place[layer.radiance[..., 3] == 0.0] = np.inf
     # Close the gaps of what is thinner than a pixel.
     point = place
@@ -208,19 +206,6 @@ def undivided(layer: Layer, camera: ThinLens) -> list[Surface]:
     return [Surface(layer)]
 
 
-def places(layer: Layer, camera: ThinLens) -> Image:
-    """Return where a layer's surfaces lie in depth, as CoC radii, px, shape (H, W), float32."""
-    place = np.empty(layer.shape, np.float32)
-    for_bands(_label_kernels.coc_radii, len(place), layer.depth, _scale(layer, camera), 0.0, place)
-    return place
-
-
-def _scale(layer: Layer, camera: ThinLens) -> float:
-    """Return the CoC of an inverse depth, px metres, rounded up to one of `SCALES_PER_OCTAVE`."""
-    scale = camera.coc_scale(layer.raster.display.width)
-    return float(np.exp2(np.ceil(SCALES_PER_OCTAVE * np.log2(scale)) / SCALES_PER_OCTAVE))
-
-
 def split_lights(layer: Layer, camera: ThinLens) -> list[Surface]:
     """Return the surfaces of a layer, divided only where one of them is brighter than white: else few pixels show it.
 
@@ -283,7 +268,7 @@ class KeptSurfaces:
         """Return the surfaces of a layer; those of a very large one are not kept."""
         if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
             return self._find(layer, camera)
-        key = id(layer), _scale(layer, camera)
+        key = id(layer), separating_scale(layer, camera)
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
@@ -324,9 +309,10 @@ class SharedSurfaces:
             own = replace(self._surfaces[0].layer, radiance=layer.radiance)
             return [self._surfaces[0]._replace(layer=own)]
         # Divide the colours of all pixels, in planes for each surface.
+        scale = separating_scale(layer, camera)
         place, share = np.zeros((2, len(self._surfaces), *layer.shape), np.float32)
         for own, part, each in zip(place, share, self._surfaces, strict=True):
-            each.put(places(each.layer, camera), own)
+            each.put(places(each.layer, scale), own)
             assert each.share is not None, "only a single surface is all of each pixel"
             each.put(each.share, part)
         colours = np.empty((*place.shape, 4), np.float32)

@@ -10,7 +10,8 @@ from spreadlets.arrays import Image, IntArray
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.buffers import buffer, cleared
 from spreadlets.runtime.label.labels import Labels
-from spreadlets.runtime.label.surfaces import LEAST_GAP, depth_is_noise
+from spreadlets.runtime.label.scale import LEAST_GAP
+from spreadlets.runtime.label.surfaces import depth_is_noise
 from spreadlets.runtime.plan import _strand_kernels
 
 
