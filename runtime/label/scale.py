@@ -14,7 +14,7 @@ LEAST_GAP = 0.7
 """Difference of places, px of CoC radius or of a path's length, from which two surfaces are worth telling apart."""
 SCALES_PER_OCTAVE = 2
 """Steps of the f-number at which surfaces are told apart: between two of them the same surfaces serve."""
-COUNTED_LINES = 256
+COUNTED_LINES = 128
 """About so many rows, and columns, are looked at."""
 LEAST_MISSED = 0.02
 """Share of the places where surfaces move apart from which the scale of the lens, which misses them, does not do."""
@@ -59,7 +59,9 @@ def places(layer: Layer, scale: float) -> Image:
     return place
 
 
-_BORDERS = np.exp2(np.arange(1, _scale_kernels.N_BINS + 1) / _scale_kernels.BINS_PER_OCTAVE + _scale_kernels.FIRST_OCTAVE)
+_BORDERS = np.exp2(
+    np.arange(1, _scale_kernels.N_BINS + 1) / _scale_kernels.BINS_PER_OCTAVE + _scale_kernels.FIRST_OCTAVE
+)
 """Upper borders of the steps of inverse depth in which differences are counted, 1 / m."""
 
 

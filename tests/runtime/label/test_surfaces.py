@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage, special
 
 from spreadlets.runtime.label import _gap_kernels, surfaces
+from spreadlets.runtime.label.scale import LEAST_GAP, places, separating_scale
 from spreadlets.runtime.label.surfaces import (
-    LEAST_GAP,
     SharedSurfaces,
     depth_is_filtered,
     depth_is_noise,
@@ -75,6 +75,11 @@ def in_frame(found, shape):
 
 def near_share(passes):
     return sum(share * (layer.depth < 3.0) for layer, share in passes)
+
+
+def placed(layer):
+    """Return where a layer's surfaces lie in depth, px."""
+    return places(layer, separating_scale(layer, CAMERA))
 
 
 def inner(values, margin=3):
@@ -178,7 +183,7 @@ def test_what_bends_before_it_ends_is_no_blend():
     y, x = np.mgrid[:48, :48] - 23.3
     ball = NEAR + 0.5 * (1.0 - np.sqrt(np.maximum(1.0 - (x**2 + y**2) / 20.0**2, 0.0)))
     layer = Frame(np.ones((48, 48, 3)), np.where(np.hypot(x, y) < 20.0, ball, FAR)).layers[0]
-    assert not depth_is_filtered(surfaces.places(layer, CAMERA))
+    assert not depth_is_filtered(placed(layer))
 
 
 def thread(x, y):
@@ -188,7 +193,7 @@ def thread(x, y):
 def test_a_thread_without_a_pixel_of_its_own_tells_whether_depth_is_filtered():
     for filtered in (False, True):
         layer, _ = drawn(thread, filtered=filtered)
-        assert depth_is_filtered(surfaces.places(layer, CAMERA)) == filtered
+        assert depth_is_filtered(placed(layer)) == filtered
 
 
 def smoothed(layer, variance):
@@ -229,7 +234,7 @@ def test_noise_is_told_from_hair_and_is_not_divided():
     assert depth_is_noise(rng.uniform(8.0, 16.0, (size, size)).astype(np.float32))
     depth = rng.uniform(0.3, 1.0, (size, size)).astype(np.float32)
     layer = Frame(rng.random((size, size, 3)).astype(np.float32), depth).layers[0]
-    assert depth_is_noise(surfaces.places(layer, CAMERA))
+    assert depth_is_noise(placed(layer))
     assert [each.share for each in split_surfaces(layer, CAMERA)] == [None]
 
 
@@ -328,7 +333,7 @@ def test_strands_have_no_gaps():
     layer, coverage = drawn(lambda x, y: np.abs(x - 24.2 - slope * (y - 24.0)) < 0.5 * width, size=48)
     sampled = (layer.depth == NEAR).any(axis=1)
     assert 0.3 < sampled.mean() < 0.7
-    place = surfaces.places(layer, CAMERA)
+    place = placed(layer)
     closed, places = surfaces.without_gaps(layer, place)
     assert ((closed.depth == NEAR).any(axis=1)[4:-4]).all() and np.array_equal(
         closed.depth == NEAR, places == place.min()
@@ -348,7 +353,7 @@ def test_a_strand_that_hardly_leaves_its_column_or_row_has_no_gaps(across):
     layer, coverage = drawn((lambda x, y: inside(y, x)) if across else inside, size=size)
     axis = 0 if across else 1
     assert 0.3 < (layer.depth == NEAR).any(axis=axis).mean() < 0.7
-    closed, _ = surfaces.without_gaps(layer, surfaces.places(layer, CAMERA))
+    closed, _ = surfaces.without_gaps(layer, placed(layer))
     assert ((closed.depth == NEAR).sum(axis=axis) == 1)[8:100].all()
     passes = in_frame(split_surfaces(layer, CAMERA), layer.shape)
     light = sum(share * (each.depth < 3.0) * (each.radiance[..., 0] - BLUE[0]) for each, share in passes)
@@ -359,7 +364,7 @@ def test_a_strand_that_hardly_leaves_its_column_or_row_has_no_gaps(across):
 def test_short_things_in_a_line_are_no_strand():
     """Two upright sticks a pixel apart in their columns, farther from each other than they are long."""
     layer, _ = drawn(lambda x, y: (np.abs(x - 20.0 - (y > 24.0)) < 0.5) & (np.abs(np.abs(y - 24.0) - 13.0) < 2.0), 48)
-    place = surfaces.places(layer, CAMERA)
+    place = placed(layer)
     assert np.array_equal(surfaces.without_gaps(layer, place)[1], place)
 
 
@@ -383,14 +388,14 @@ def test_tips_that_point_at_each_other_are_no_strand():
     """Nothing is put between the points of two leaves."""
     shape = lambda x, y: (np.abs(y - 12.0) < 0.3 * np.abs(x - 12.0)) & (np.abs(np.abs(x - 12.0) - 7.0) < 5.0)  # noqa: E731
     layer, _ = drawn(shape)
-    assert surfaces.without_gaps(layer, surfaces.places(layer, CAMERA))[0] is layer
+    assert surfaces.without_gaps(layer, placed(layer))[0] is layer
 
 
 @pytest.mark.interpreted
 def test_where_there_is_nothing_there_is_no_strand():
     """Empty pixels are as far away as each other, so none of them lies before another, and none is looked at."""
     layer, coverage = drawn(lambda x, y: x + 0.3 * y < 12.0, alpha=True)
-    place = surfaces.places(layer, CAMERA)
+    place = placed(layer)
     place[coverage == 0.0] = np.inf
     thin = np.ones(place.shape, np.bool_)
     _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, 1, thin)
@@ -474,7 +479,7 @@ def test_the_sample_in_a_gap_of_a_strand_is_one_of_its_surfaces():
     depth, radiance = layer.depth.copy(), layer.radiance.copy()
     radiance[..., :3] -= 0.9 * (1.0 - coverage)[..., None] * BLUE
     # The sky fills single pixels in the strand's gaps, whose point samples are of it, and one 3 px away from each.
-    place = surfaces.places(layer, CAMERA)
+    place = placed(layer)
     gaps = np.argwhere(surfaces.without_gaps(layer, place)[1] != place)[::3]
     dots = np.zeros(depth.shape, bool)
     for away in (0, 3):
