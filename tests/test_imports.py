@@ -26,7 +26,7 @@ ORDER = (
         "runtime.controls",
         "runtime._vector_kernels",
     },
-    {"processes", "serve", "_scan_kernels", "runtime._box_kernels"},
+    {"processes", "serve", "_scan_kernels", "runtime._box_kernels", "runtime._lamp_kernels"},
     {"scans", "runtime.buffers"},
     {"workers", "scene", "runtime.options", "runtime.box_blur"},
     {"metrics", "models", "psf"},

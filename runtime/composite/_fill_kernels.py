@@ -3,8 +3,8 @@
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._lamp_kernels import dimmed, evened
 from spreadlets.runtime._vector_kernels import add, load, multiply
-from spreadlets.runtime.plan._behind_kernels import dimmed, evened
 
 COVERAGE, COUNT, REST, LAST = range(4)
 """What a layer's sums are measured by: 1; their own weight plus a count, plus a share of what they leave; their weight

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime.plan._layer_kernels import share_in
 
 MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion y")
 """Columns of `layer_moments`, all sums; the largest blur, px, comes behind them."""
@@ -283,10 +284,8 @@ def sum_paths(begin, end, members, path, number, side, sums):
     for tile in range(begin, end):
         for row in range(tile * side, min((tile + 1) * side, variant.shape[0])):
             for col in range(variant.shape[1]):
-                if variant[row, col] < 0 or not number - 1 <= layer[row, col] <= number:
-                    continue
-                share = np.float32(1.0) - farther[row, col] if layer[row, col] == number else farther[row, col]
-                if share > np.float32(0.0):
+                share = share_in(layer[row, col], farther[row, col], number)
+                if variant[row, col] >= 0 and share > np.float32(0.0):
                     j, x, y = col // side, path[row, col, 0], path[row, col, 1]
                     sums[0, tile, j] += share
                     sums[1, tile, j] += share * x

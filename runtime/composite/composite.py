@@ -9,12 +9,12 @@ import numpy as np
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.remembered import Remembered
+from spreadlets.runtime._lamp_kernels import BRIGHTEST
 from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
 from spreadlets.runtime.label.tiles import largest_around, tiling
-from spreadlets.runtime.plan._behind_kernels import BRIGHTEST
 from spreadlets.scans import count_alphas
 
 LEAST_SEEN = 0.98, 4.0

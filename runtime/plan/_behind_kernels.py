@@ -5,9 +5,11 @@ import math
 import numpy as np
 
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._lamp_kernels import BRIGHTEST, dimmed, evened
 from spreadlets.runtime._vector_kernels import add, load, multiply, store
 from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, COLOUR, LIKE, MOSTLY_SEEN
 from spreadlets.runtime.plan._bridge_kernels import bridge
+from spreadlets.runtime.plan._layer_kernels import share_in
 
 EXACT = 16.0
 """Distances, cells, up to which they are exact, others by blocks: there what a blur reveals ends softly."""
@@ -21,18 +23,7 @@ LEAST_COVER = 0.25
 """Share of what was seen around a block that is of the layer: what is less is small, and stands amid others."""
 LEAST_UNLIKE = 0.001
 """Added to what weights are in inverse proportion to."""
-BRIGHTEST = 4.0
-"""How many times as bright as the mean around it what lies hidden may be taken to be: a lamp that is not there would
-catch the eye, and in a sequence it would flash."""
 _U = np.uint64
-
-
-@helper
-def _part(layer, farther, number):
-    """Return the share of a surface that lies in a layer."""
-    if layer == number:
-        return np.float32(1.0) - farther
-    return farther if layer == number - 1 else np.float32(0.0)
 
 
 @kernel
@@ -70,7 +61,7 @@ def sum_layers(begin, end, surface, at, corner, cover, sums, reach):
                 y, x = (at[row, col, 0], at[row, col, 1]) if listed else (row, col)
                 # Sum it up in the one or two layers that it lies in.
                 for number in range(layer[row, col], layer[row, col] + 2):
-                    each = own * _part(layer[row, col], farther[row, col], number)
+                    each = own * share_in(layer[row, col], farther[row, col], number)
                     if each > 0.0:
                         i, j = (y + down) // BLOCK, (x + left) // BLOCK
                         sums[i, j, number, 0] += each
@@ -117,8 +108,8 @@ def enter_layer(begin, end, members, cover, at, number, level, corner, nearer, c
                 own = layer[row, col]
                 # Hide by the layer before, and cover by the layer itself.
                 if number - 2 <= own <= number and cover[row, col] > 0.0:
-                    nearer[y, x] += cover[row, col] * _part(own, farther[row, col], number - 1)
-                    here = cover[row, col] * _part(own, farther[row, col], number)
+                    nearer[y, x] += cover[row, col] * share_in(own, farther[row, col], number - 1)
+                    here = cover[row, col] * share_in(own, farther[row, col], number)
                     covers[(y + down) >> level, (x + left) >> level] += here
                 if not listed:
                     hides[i, (x + left) >> level] += nearer[y, x]
@@ -194,7 +185,7 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                     continue
                 y, x = (at[row, col, 0], at[row, col, 1]) if listed else (row, col)
                 y, x = (y + down) >> level, (x + left) >> level
-                part = _part(layer[row, col], farther[row, col], number)
+                part = share_in(layer[row, col], farther[row, col], number)
                 part *= weight[row, col] if weight.shape[0] else np.float32(1.0)
                 if part == 0.0 or not wanted[(y + above) // BLOCK, (x + before) // BLOCK]:
                     continue
@@ -219,22 +210,6 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
                     start, stop = _pixels_in(j, level, corner[1], layer.shape[1])
                     for c in range(size):
                         features[i, j, c] /= np.float32((last - first) * (stop - start))
-
-
-@helper
-def evened(light):
-    """Return the fourth root of light: to a mean of such, a lamp hardly adds."""
-    return math.sqrt(math.sqrt(light))
-
-
-@helper
-def dimmed(light, limit):
-    """Return as how bright that is taken for hidden which is brighter than a limit, `BRIGHTEST` times the mean around.
-
-    The brighter it is, the more of it is a lamp's: what is twice the limit counts half of that, but no less than the
-    mean.
-    """
-    return light if light <= limit else max(limit * limit / light, limit / BRIGHTEST)
 
 
 @kernel

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from spreadlets.arrays import Image
 from spreadlets.compiled import helper, kernel
+from spreadlets.runtime._lamp_kernels import evened
 from spreadlets.runtime._vector_kernels import load, multiply, store
-from spreadlets.runtime.plan._behind_kernels import evened
 
 _U = np.uint64
 BLOCK = 16

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from spreadlets.compiled import kernel
+from spreadlets.compiled import helper, kernel
 
 
 @kernel
@@ -54,6 +54,14 @@ def assign_layers(begin, end, depth, cuts, widths, layer, farther):
                 if abs(place - cuts[cut]) < 0.5 * widths[cut]:
                     layer[row, col] = cut
                     farther[row, col] = (place - cuts[cut]) / widths[cut] + 0.5
+
+
+@helper
+def share_in(layer, farther, number):
+    """Return the share of a pixel that lies in a layer; ``layer`` and ``farther`` as for `assign_layers`."""
+    if layer == number:
+        return np.float32(1.0) - farther
+    return farther if layer == number - 1 else np.float32(0.0)
 
 
 @kernel
