@@ -66,6 +66,11 @@ class Controls:
         changed = self.near_strength, self.far_strength, self.in_focus, self.max_coc
         return changed != (1.0, 1.0, None, None)
 
+    @property
+    def strength(self) -> float:
+        """The largest factor of any CoC, at least 1."""
+        return max(1.0, self.near_strength, self.far_strength)
+
     def coc(self, radius: FloatArray, depth: FloatArray, scale: float) -> FloatArray:
         """Return the signed CoC radii that a camera's become.
 

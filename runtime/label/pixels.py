@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,7 +67,9 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
     """
     middle = camera.at(camera.shutter_centre)
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
-    surfaces = list((split if is_blurred else undivided)(layer, middle))
+    # Surfaces are told apart by how they are blurred in the end.
+    lens = replace(middle, f_number=middle.f_number / effects.controls.strength)
+    surfaces = list((split if is_blurred else undivided)(layer, lens))
     found = [labelled(each, layer.shape, camera, effects) for each in surfaces]
     area = stretch(layer, camera) if effects.stretches and effects.motion and layer.has_motion else None
     if area is None:

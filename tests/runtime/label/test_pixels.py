@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import spreadlets as sp
+from spreadlets.runtime.controls import Controls
 from spreadlets.runtime.label._label_kernels import path_places
 from spreadlets.runtime.label.pixels import frame_pixels
 from spreadlets.runtime.label.sampled import sample_pixels
@@ -113,3 +116,20 @@ def test_samples_on_a_curved_path_meet_where_the_path_is_at_mid_shutter():
         lens_uv=np.zeros((1, n, 1, 2)), time=time, offset=now[:, :, None],
     )  # fmt: skip
     assert np.ptp(sample_pixels(straight, CAMERA, defocus=True, motion=True)[0].labels.shift, axis=1).max() > 0.2
+
+
+def test_surfaces_are_told_apart_by_the_blur_that_strengths_make_of_a_lens():
+    y, x = np.mgrid[:32, :32]
+    near = x + 0.3 * y < 18.4
+    share = np.clip(18.4 - (x + 0.3 * y) + 0.5, 0.0, 1.0)[..., None]
+    frame = sp.Frame(share * [0.9, 0.3, 0.1] + (1 - share) * [0.1, 0.3, 0.6], np.where(near, 2.0, 6.0))
+    wide = sp.ThinLens(focal_length_mm=50, sensor_width_mm=36, f_number=0.1, focus_distance_m=6.0)
+    narrow, strong = replace(wide, f_number=6.4), Controls(near_strength=64.0)
+    found, expected = (
+        frame_pixels(frame.layers[0], lens, defocus=True, motion=False, controls=controls)
+        for lens, controls in ((narrow, strong), (wide, Controls()))
+    )
+    assert len(found) == len(expected) == 2
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one.weight, other.weight, atol=1e-6)
+        np.testing.assert_allclose(one.labels.coc, other.labels.coc, atol=1e-4)
