@@ -64,6 +64,13 @@ def test_more_layers_part_more_surfaces_up_to_the_number_allowed():
     assert counts[:3] == [1, 2, 4] and 6 <= counts[3] <= 12
 
 
+def test_surfaces_that_meet_along_columns_are_cut_as_those_along_rows():
+    bands = blocks([[-10] * 4, [6] * 4, [-10] * 4, [6] * 4])
+    (found, _), (turned, _) = fitted(bands), fitted(bands.T)
+    assert len(found) == 1
+    np.testing.assert_allclose(found, turned, rtol=1e-6)
+
+
 def test_without_defocus_the_motion_tells_where_to_cut():
     depth_like = blocks([[-10, 6], [6, -10]])
     depth = (1.0 / (1.0 / FOCUS - depth_like / SCALE)).astype(np.float32)
