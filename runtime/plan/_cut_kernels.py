@@ -10,6 +10,8 @@ DISTANCES = (1, 2, 4, 8)
 """Pixels so far apart, px, are taken to meet: at edges, across thin things, and where wide blurs overlap."""
 COUNTING_BLOCKS = 4
 """Parts of a frame that are counted by themselves: always so many, so that sums do not depend on the threads."""
+STEEPER = 2.0
+"""So many times as much as on the slope before it, a place changes where a surface ends."""
 NOWHERE = -2.0
 """Step of a pixel that is not drawn: more than a step from all others."""
 
@@ -59,6 +61,7 @@ def count_steps(begin, end, labels, at, stride, steps, position, sums, meetings,
             end_row = stride * ((block + 1) * n_lines // COUNTING_BLOCKS)
         counted, met, parted = sums[block], meetings[block], seams[block]
         for row in range(first_row, min(end_row, depth.shape[0]), 1 if listed else stride):
+            begins, slope = 0, 0.0
             for col in range(depth.shape[1]):
                 if listed and at[row, col, 0] % stride:
                     continue
@@ -69,20 +72,24 @@ def count_steps(begin, end, labels, at, stride, steps, position, sums, meetings,
                     counted[0, int(place)] += 1.0
                     counted[1, int(place)] += coc[row, col]
                 here = place, np.float64(path[row, col, 0]), np.float64(path[row, col, 1])
-                # Count what it meets: the frame's pixel at its place, or those before it in the row.
+                # Count what it meets: the frame's pixel at its place, or those of other surfaces before it in the row.
                 if listed:
                     _meet(here, position, at[row, col, 0] // stride, at[row, col, 1], met)
                     continue
                 line = row // stride
                 position[line, col, 0], position[line, col, 1], position[line, col, 2] = here
-                for distance in DISTANCES:
-                    if col >= distance:
-                        _meet(here, position, line, col - distance, met)
-                # Count the border that parts it from its neighbour.
+                # Count the border that parts it from its neighbour; where the place jumps, a surface ends.
                 if col > 0:
-                    nearer, farther = min(place, position[line, col - 1, 0]), max(place, position[line, col - 1, 0])
-                    if farther - nearer < 1.0 and math.floor(farther) > math.floor(nearer):
-                        parted[int(farther)] += 1.0
+                    before = position[line, col - 1, 0]
+                    change = place - before
+                    if abs(change) < 1.0 and math.floor(place) != math.floor(before):
+                        parted[int(max(place, before))] += 1.0
+                    if abs(change) >= 1.0 and not 0.0 < change * slope <= STEEPER * slope * slope and col > 1:
+                        begins = col
+                    slope = change
+                for distance in DISTANCES:
+                    if 0 <= col - distance < begins:
+                        _meet(here, position, line, col - distance, met)
 
 
 @kernel

@@ -74,7 +74,7 @@ def find_steps(
     # Thin the rows, and the columns, of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
     steps = low, n_steps / (high - low)
-    # Count which steps meet along a row or a column, and which borders part neighbours.
+    # Count which steps meet along rows and columns, and which borders part neighbours; take the mean of both.
     positions = [np.empty((-(-len(variant) // stride), variant.shape[1], 3)) for _, variant in frames]
     for (labels, variant), position in zip(frames, positions, strict=True):
         given = _planes(labels, variant), EVERYWHERE, stride, steps, position
@@ -82,7 +82,7 @@ def find_steps(
         columns = tuple(np.ascontiguousarray(each[:, ::stride].swapaxes(0, 1)) for each in given[0])
         upright = columns, EVERYWHERE, 1, steps, np.empty((*columns[0].shape, 3))
         for_blocks(_cut_kernels.count_steps, _cut_kernels.COUNTING_BLOCKS, *upright, *blocks)
-    sums, meetings, seams = (each.sum(axis=0) for each in blocks)
+    sums, meetings, seams = (0.5 * each.sum(axis=0) for each in blocks)
     # Count which steps meet between the passes.
     for first, second in combinations(positions, 2):
         _add_meetings(first, second, meetings)
