@@ -216,7 +216,7 @@ def hide_unreached(begin, end, nearer, beyond, distance, place, blur, number, se
 
 
 @kernel
-def scatter_passing(members, number, sample, moments, padding, passing):
+def scatter_passing(members, number, sample, moments, ways, bits, padding, passing):
     """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
 
     Parameters
@@ -229,6 +229,10 @@ def scatter_passing(members, number, sample, moments, padding, passing):
         Where in its pixel each sample was seen, (dx, dy); its place on the lens, and in time from the shutter's centre.
     moments : tuple of three floats
         CoC radius of the layer, px, and its motion (dx, dy).
+    ways : ndarray of shape (h, w, 4), float32
+        Motion of the layer where each tile of 2^bits px saw it, and its change, (dx, dy) each, which are followed in
+        place of the layer's; (0, 0, 4) if there are none.
+    bits : int
     padding : int
         The nearest samples repeat so far beyond the border.
     passing : ndarray of shape (H + 2 padding, W + 2 padding), float32
@@ -247,8 +251,15 @@ def scatter_passing(members, number, sample, moments, padding, passing):
             if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
                 continue
             # Shear the sample to where its ray passed through the layer.
-            x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0] - motion_x * time[row, col]
-            y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1] - motion_y * time[row, col]
+            x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0]
+            y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1]
+            if ways.shape[0]:
+                way, half = ways[row >> bits, col >> bits], np.float32(0.5) * time[row, col]
+                x -= time[row, col] * (way[0] - half * way[2])
+                y -= time[row, col] * (way[1] - half * way[3])
+            else:
+                x -= motion_x * time[row, col]
+                y -= motion_y * time[row, col]
             left, top = math.floor(x), math.floor(y)
             if left < -1 or top < -1 or left >= width or top >= height:
                 continue

@@ -26,14 +26,18 @@ as a disc may be, see `runtime.composite._sweep_kernels`."""
 BOX_PER_DEVIATION = float(np.sqrt(1.5))
 """Half-width of a box that, applied twice, spreads as far as something of standard deviation 1."""
 LEAST_LENGTH = 6.0
-"""Root mean square path, px, from which a layer blurs along its own; and what is left to all sides at least: what is
-counted here and there is less noisy as the mean over some pixels."""
-FACTOR = 2
-"""That blur is done in pixels so many times as wide."""
-PATH_TILE, PATH_AROUND = 8, 1
-"""Side of the tiles that have one path, px, and so many tiles around that tell it."""
+"""Root mean square path, px, from which a layer blurs along its own."""
+FACTOR, LEAST_HALF = 2, 8
+"""That blur is done in pixels so many times as wide where boxes of such a half width, px, and more blur to all sides:
+that adds 2 % to their variance."""
+PATH_BITS, PATH_AROUND = 3, 1
+"""Tiles of 2^3 px have one path, and so many tiles around tell it."""
+PATH_TILE = 1 << PATH_BITS
+"""Their side, px."""
 TINY_SHARE = np.float32(1e-3)
 """Samples of a layer, around a tile, that are none."""
+NO_PATHS = np.zeros((0, 0, 3), np.float32)
+"""Those of a layer that hardly moves."""
 MOST_PADDING, LEAST_PADDING = 2, 1024
 """How far beyond the border samples repeat at most, in longer sides of the frame, or px if that is more."""
 
@@ -56,11 +60,12 @@ class Moments(NamedTuple):
         unlike = max(self.length_squared - self.motion[0] ** 2 - self.motion[1] ** 2, 0.0)
         return math.sqrt(self.coc_squared + unlike / 6.0)
 
-    def box_half_width(self) -> int:
-        """Half-width, px, of the box that blurs, applied twice, as the layer's PSFs do in the mean."""
+    def box_half_widths(self) -> tuple[int, int]:
+        """Half-widths, px, of the two boxes that blur, one after the other, as the layer's PSFs do in the mean."""
         # A disc of radius r has the variance r^2 / 4 along each axis, a path of length l the mean variance l^2 / 24.
         deviation = np.sqrt(self.coc_squared / 4.0 + self.length_squared / 24.0)
-        return max(0, round(BOX_PER_DEVIATION * float(deviation) - 0.5))
+        both = max(0, round(2.0 * BOX_PER_DEVIATION * float(deviation) - 1.0))
+        return both // 2, both - both // 2
 
     def scaled(self, factor: float) -> Moments:
         """Return the moments of PSFs that are a factor as wide."""
@@ -171,17 +176,24 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     return seen
 
 
-def _padding(passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments) -> float:
+def _padding(
+    passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments, local: Image, duration: float
+) -> float:
     """Return how far, px, samples beyond the border can be from what they blur into; arguments as `passing_samples`."""
-    farthest = max(
-        _largest(offset) + abs(moments.coc) + max(map(abs, moments.motion)) * _largest(time)
-        for _, offset, _, time in passes
-    )
-    return 2.0 * moments.box_half_width() + farthest + 1.0
+    fastest = max(map(abs, moments.motion))
+    if local.size:
+        border = local[:1, :, :2], local[-1:, :, :2], local[:, :1, :2], local[:, -1:, :2]
+        fastest = max(map(_largest, border)) / duration
+    farthest = max(_largest(offset) + abs(moments.coc) + fastest * _largest(time) for _, offset, _, time in passes)
+    return sum(moments.box_half_widths()) + farthest + 1.0
 
 
 def passing_samples(
-    passes: Sequence[tuple[Membership, Image, Image, Image]], paths: Sequence[Image], number: int, moments: Moments
+    passes: Sequence[tuple[Membership, Image, Image, Image]],
+    paths: Sequence[Image],
+    number: int,
+    moments: Moments,
+    duration: float,
 ) -> Image:
     """Return the number of samples that passed a layer, blurred as the layer is, shape (H, W).
 
@@ -192,41 +204,73 @@ def passing_samples(
     passes : sequence of (members, offset, lens_uv, time)
         The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time: contiguous.
     paths : sequence of ndarray of shape (H, W, 2), float32
-        How far each sample moves while the shutter is open, px.
+        How far each sample moves while the shutter is open, px, see `runtime.label.sampled.sample_paths`.
     number : int
     moments : Moments
         Of the layer: where a sample passed through it is taken from its mean CoC and motion.
+    duration : float
+        Of the shutter, in the unit of ``time``.
     """
     height, width = passes[0][0].variant.shape
-    local = None
+    local = NO_PATHS
     if moments.length_squared > LEAST_LENGTH**2:
         # What moves alike blurs along its paths, what is left to all sides.
         local, unlike = _local_paths([each[0] for each in passes], paths, number)
-        moments = moments._replace(length_squared=max(unlike, LEAST_LENGTH**2))
+        moments = moments._replace(length_squared=unlike)
     # Find how far beyond the border samples count; of what blurs wider than a few frames all counts are even.
     most = max(LEAST_PADDING, MOST_PADDING * max(height, width))
-    needed = _padding(passes, moments)
+    needed = _padding(passes, moments, local, duration)
     if needed > most:
-        moments = moments.scaled(most / needed)
-        needed = min(_padding(passes, moments), 2.0 * most)
+        moments, local = moments.scaled(most / needed), local * np.array((most / needed, most / needed, 1), np.float32)
+        needed = min(_padding(passes, moments, local, duration), 2.0 * most)
     padding = math.ceil(needed)
     # Count the samples where they passed, and blur.
     passing = np.zeros((height + 2 * padding, width + 2 * padding), np.float32)
-    layer = moments.coc, *moments.motion
+    layer, given = (moments.coc, *moments.motion), (_ways(local, duration), PATH_BITS, padding, passing)
     for members, *sample in passes:
-        _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, padding, passing)
-    blurred = box_blurred(passing, moments.box_half_width(), times=2)
-    inner = blurred[padding : padding + height, padding : padding + width]
-    return np.maximum(inner if local is None else _blurred_along(inner, local), np.float32(0.0))
+        _visibility_kernels.scatter_passing(tuple(members), number, tuple(sample), layer, *given)
+    blurred = passing
+    for half in moments.box_half_widths():
+        blurred = box_blurred(blurred, half)
+    inner = np.ascontiguousarray(blurred[padding : padding + height, padding : padding + width])
+    if local.size:
+        inner = _blurred_along(inner, local, FACTOR if min(moments.box_half_widths()) >= LEAST_HALF else 1)
+    return np.asarray(np.maximum(inner, np.float32(0.0)), np.float32)
 
 
-def _blurred_along(passing: Image, local: Image) -> Image:
-    """Blur what passed a layer along its paths, in pixels `FACTOR` times as wide."""
-    small, blurred = np.empty((2, *(-(-size // FACTOR) for size in passing.shape)), np.float32)
-    for_bands(_sweep_kernels.shrink, len(small), np.ascontiguousarray(passing), FACTOR, small)
-    path = local * np.array((1.0 / FACTOR, 1.0 / FACTOR, 1.0), np.float32)
-    for_bands(_visibility_kernels.blur_along, len(small), small, path, PATH_TILE // FACTOR, blurred)
-    return enlarged(blurred, passing.shape, FACTOR)
+def _ways(local: Image, duration: float) -> Image:
+    """Return the motion of a layer in each tile, and how it changes for what moves so, see `scatter_passing`."""
+    rows, cols = local.shape[:2]
+    ways = np.zeros((rows, cols, 4), np.float32)
+    if not local.size:
+        return ways
+    motion, seen = local[..., :2] / np.float32(duration), local[..., 2:]
+    ways[..., :2] = motion
+    # By how much it changes from tile to tile beside, where both are known, along the motion.
+    change = np.zeros_like(motion)
+    for axis, count in ((1, cols), (0, rows)):
+        before, behind = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
+        between = np.float32(PATH_TILE) * np.maximum(behind - before, 1).astype(np.float32)
+        known = seen.take(before, axis) * seen.take(behind, axis)
+        slope = known * (motion.take(behind, axis) - motion.take(before, axis))
+        change += motion[..., 1 - axis, None] * slope / between.reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+    # What changes by more than itself does not turn: it borders on what moves another way.
+    size = np.hypot(change[..., 0], change[..., 1]) * np.float32(0.5 * duration)
+    speed = np.hypot(motion[..., 0], motion[..., 1])
+    ways[..., 2:] = change * (np.minimum(speed, size) / np.maximum(size, TINY_SHARE))[..., None]
+    return ways
+
+
+def _blurred_along(passing: Image, local: Image, factor: int) -> Image:
+    """Blur what passed a layer along its paths, in pixels so many times as wide."""
+    small = passing
+    if factor > 1:
+        small = np.empty([-(-size // factor) for size in passing.shape], np.float32)
+        for_bands(_sweep_kernels.shrink, len(small), passing, factor, small)
+    blurred = np.empty_like(small)
+    path = local / np.array((factor, factor, 1.0), np.float32)
+    for_bands(_visibility_kernels.blur_along, len(small), small, path, PATH_TILE // factor, blurred)
+    return enlarged(blurred, passing.shape, factor)
 
 
 def _local_paths(members: Sequence[Membership], paths: Sequence[Image], number: int) -> tuple[Image, float]:
@@ -235,11 +279,14 @@ def _local_paths(members: Sequence[Membership], paths: Sequence[Image], number: 
     sums = np.zeros((4, *(-(-size // PATH_TILE) for size in shape)), np.float32)
     for each, path in zip(members, paths, strict=True):
         for_bands(_visibility_kernels.sum_paths, sums.shape[1], tuple(each), path, number, PATH_TILE, sums)
-    share, x, y, square = (box_blurred(np.ascontiguousarray(each), PATH_AROUND, times=2) for each in sums)
+    share, x, y, square = sums
+    # What turns moves unlike around, but alike in a tile.
+    unlike = float((square - (x * x + y * y) / np.maximum(share, TINY_SHARE)).sum(dtype=np.float64))
+    unlike /= max(float(share.sum(dtype=np.float64)), 1e-6)
+    share, x, y = (box_blurred(np.ascontiguousarray(each), PATH_AROUND, times=2) for each in sums[:3])
     found = np.maximum(share, TINY_SHARE)
     seen = box_blurred(np.ascontiguousarray(sums[0]), PATH_AROUND) > TINY_SHARE
     local = np.stack([x / found, y / found, seen.astype(np.float32)], axis=-1)
-    unlike = float((square - (x * x + y * y) / found).sum(dtype=np.float64) / max(float(share.sum()), 1e-6))
     return local, max(unlike, 0.0)
 
 

@@ -147,7 +147,7 @@ def _filled(covers: Image, moments: Sequence[Moments | None], padding: int, *, h
         if hiding and number:
             for_bands(_overlap_kernels.hide, height, covers, number, known)
         # What was seen is looked for as far around as the layer blurs.
-        half = 1 if mean is None else max(1, mean.box_half_width() // CELL)
+        half = 1 if mean is None else max(1, sum(mean.box_half_widths()) // (2 * CELL))
         around = [box_blurred(each, half, times=2) for each in (covers[number], known)]
         prior = np.float32(LEAST_SHARE * covers[number].mean()), np.float32(LEAST_SHARE * known.mean())
         given = covers[number], known, *around, prior, padding, filled[number]

@@ -14,7 +14,7 @@ from spreadlets.runtime.composite.layers import CoverPart
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
-from spreadlets.runtime.label.sampled import sample_pixels
+from spreadlets.runtime.label.sampled import sample_paths, sample_pixels
 from spreadlets.runtime.plan.layering import BEHIND_ALL, Membership
 from spreadlets.runtime.plan.plan import Plan
 from spreadlets.scene.camera import ThinLens
@@ -176,7 +176,8 @@ class PassingSamples:
             for each in (samples.offset, samples.lens_uv, since_centre)
         )
         self._passes = list(zip(self.members, offset, lens, time, strict=True))
-        self._paths = [each.labels.whole_path for each in pixel_sets]
+        self._paths = sample_paths(samples, pixel_sets, camera)
+        self._duration = camera.shutter_duration
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
             # They passed the layers through the lens that took them, even where its blur is taken out of the image.
@@ -201,7 +202,7 @@ class PassingSamples:
         moments = self.moments[number]
         if moments is None:
             return None
-        return layers.passing_samples(self._passes, self._paths, number, moments)
+        return layers.passing_samples(self._passes, self._paths, number, moments, self._duration)
 
     def guessed_blur(self, number: int) -> None:
         """Return nothing: other samples saw what lies hidden."""

@@ -66,6 +66,27 @@ def sample_steps(
     return [*sets, *lists]
 
 
+def sample_paths(samples: SampleBuffer, pixel_sets: Sequence[Pixels], camera: ThinLens) -> list[Image]:
+    """Return how far each sample moves where it was seen, as long as the shutter is open, px (dx, dy).
+
+    What bends moves another way then than amid the shutter.
+
+    Parameters
+    ----------
+    samples : SampleBuffer
+    pixel_sets : sequence of Pixels
+        Of `sample_pixels`, one for each sample of a pixel.
+    camera : ThinLens
+    """
+    if samples.motion_prev is None or samples.motion_next is None:
+        return [each.labels.whole_path for each in pixel_sets]
+    paths, half = [], np.float32(0.5 * camera.shutter_duration)
+    for number in range(len(pixel_sets)):
+        layer, time = _sample_layer(samples, number), np.ascontiguousarray(samples.time[:, :, number])
+        paths.append(_places(layer, time + half) - _places(layer, time - half))
+    return paths
+
+
 def _moved(pixels: Pixels, start: Image | None) -> Pixels:
     """Return a list whose places are counted from where each sample lay at the frame's time."""
     labels, places = pixels.labels, pixels.labels.view.places

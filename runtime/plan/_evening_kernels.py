@@ -38,28 +38,31 @@ def count_samples(layer, number, shift, bins, margin, count):
 
 
 @kernel
-def share_area(begin, end, count, usual, bins, area):
-    """Fill ``area`` (rows, cols), float32, with the area that each sample of a bin stands for; 0 where there is none.
+def even_out(begin, end, weight, usual, bins, evened):
+    """Fill ``evened`` (rows, cols), float32, with the weight of the samples of each bin, more where little lies around.
 
-    It is the inverse of their number, under a tent of two bins, times the number that is ``usual`` in each pixel.
+    It is divided by what lies under a tent of two bins, in place of what is ``usual`` in each pixel; the outermost bins
+    become 0.
     """
+    two, four, whole = np.float32(2.0), np.float32(4.0), np.float32(16.0)
+    height, width = weight.shape
     for row in range(begin, end):
-        for col in range(count.shape[1]):
-            area[row, col] = 0.0
-            if count[row, col] == 0.0:
+        evened[row] = np.float32(0.0)
+        if row == 0 or row == height - 1:
+            continue
+        above, own, below, result = weight[row - 1], weight[row], weight[row + 1], evened[row]
+        for col in range(1, width - 1):
+            if own[col] == np.float32(0.0):
                 continue
-            around = np.float32(0.0)
-            for down in range(-1, 2):
-                for across in range(-1, 2):
-                    y, x = row + down, col + across
-                    if 0 <= y < count.shape[0] and 0 <= x < count.shape[1]:
-                        around += count[y, x] * np.float32((2 - abs(down)) * (2 - abs(across)) / 16.0)
-            area[row, col] = usual[row // bins, col // bins] / around
+            corners = above[col - 1] + above[col + 1] + below[col - 1] + below[col + 1]
+            beside = above[col] + below[col] + own[col - 1] + own[col + 1]
+            around = corners + two * beside + four * own[col]
+            result[col] = own[col] * whole * usual[row // bins, col // bins] / around
 
 
 @kernel
-def find_areas(begin, end, layer, number, shift, bins, margin, area, found):
-    """Fill ``found`` (H, W), float32, of the samples of a layer with their areas, see `share_area`.
+def find_areas(begin, end, layer, number, shift, bins, margin, count, weight, found):
+    """Fill ``found`` (H, W), float32, of the samples of a layer with their areas: parts of the ``weight`` of a bin.
 
     Those that have no bin are left out; other arguments as for `count_samples`.
     """
@@ -68,8 +71,8 @@ def find_areas(begin, end, layer, number, shift, bins, margin, area, found):
             if layer[row, col] == number:
                 y = _bin(row, shift[row, col, 1], bins, margin)
                 x = _bin(col, shift[row, col, 0], bins, margin)
-                if 0 <= y < area.shape[0] and 0 <= x < area.shape[1]:
-                    found[row, col] = area[y, x]
+                if 0 <= y < count.shape[0] and 0 <= x < count.shape[1]:
+                    found[row, col] = weight[y, x] / count[y, x]
 
 
 @helper

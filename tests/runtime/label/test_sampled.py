@@ -7,7 +7,7 @@ import pytest
 
 import spreadlets as sp
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.sampled import sample_pixels, sample_steps
+from spreadlets.runtime.label.sampled import sample_paths, sample_pixels, sample_steps
 
 CAMERA = sp.ThinLens(50.0, 36.0, 2.0, 4.0, shutter=(-0.25, 0.25))
 PULL = replace(CAMERA, keys=(sp.LensKey(-0.25, focus_distance_m=2.0), sp.LensKey(0.25, focus_distance_m=8.0)))
@@ -38,6 +38,16 @@ def test_a_curved_path_is_drawn_in_steps_that_lie_on_it():
         away = np.hypot(*np.moveaxis(steps.labels.shift - centre, -1, 0))
         assert away[drawn] == pytest.approx(60.0, abs=0.5)
         assert steps.weight.sum() == pytest.approx(48, rel=1e-5)
+
+
+def test_samples_move_as_they_do_where_they_were_seen():
+    samples = turning()
+    paths = sample_paths(samples, sample_pixels(samples, CAMERA, defocus=True, motion=True), CAMERA)
+    for number, path in enumerate(paths):
+        # The chord of the arc that lies around the time of each.
+        angle = TURN * samples.time[:, :, number]
+        along = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+        assert path == pytest.approx(2.0 * 60.0 * np.sin(TURN / 4) * along, abs=0.01)
 
 
 def test_samples_are_recentred_by_the_lens_at_their_own_time():

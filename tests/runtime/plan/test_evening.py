@@ -32,10 +32,10 @@ def noise(sets, side=4):
     return inner.std() / inner.mean()
 
 
-@pytest.mark.parametrize("n_samples", [pytest.param(1, marks=pytest.mark.interpreted), 4])
-def test_random_samples_are_evened(n_samples):
+@pytest.mark.parametrize(("n_samples", "left"), [pytest.param(1, 0.69, marks=pytest.mark.interpreted), (4, 0.565)])
+def test_random_samples_are_evened(n_samples, left):
     sets = scattered(np.random.default_rng(0), n_samples)
-    assert noise(evened(sets, 1)) < 0.75 * noise(sets)
+    assert noise(evened(sets, 1), 2) < left * noise(sets, 2)  # measured 0.65 and 0.54, evened once 0.71 and 0.58
 
 
 @pytest.mark.interpreted
