@@ -46,10 +46,9 @@ DEFAULT_TOLERANCE = 0.004
 """One step of an 8-bit display."""
 SAMPLE_TOLERANCE = 3.0 * DEFAULT_TOLERANCE
 """That of samples, whose noise is more than that."""
-DEFAULT_LAYERS = 5
-"""Layers of a buffer of samples."""
-MOST_LAYERS = 12
-"""Layers, at most, of a frame that comes without any: as many as its depths need, see `runtime.plan.cuts`."""
+MOST_LAYERS, MOST_SAMPLE_LAYERS = 12, 7
+"""Layers, at most, of a frame that comes without any, and of a buffer of samples: as many as their depths need, see
+`runtime.plan.cuts`."""
 MAX_LAYERS = 64
 SAMPLE_SOFTNESS, FRAME_SOFTNESS = 0.8, 0.0
 """Width of the transition from one layer to the next, in layers: samples are many, and their layers few."""
@@ -73,7 +72,7 @@ class Options(Controls):
         Error of the displayed image, as a share of its range, that may be traded for speed; 0 draws every pixel. By
         default one step of an 8-bit display for a frame, and three for samples.
     layers : int or None
-        Depth layers, of a frame at most; by default those that the frame has, or as many as it needs.
+        Depth layers, at most; by default those that a frame has, or as many as it, or a buffer of samples, needs.
     softness : float or None
         Width of the transition between depth layers, in layers: 0 (hard) to 1 (soft); by default hard for a frame and
         soft for samples.

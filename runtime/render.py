@@ -38,9 +38,17 @@ from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_pixels, frame_surfaces, surface_pixels
 from spreadlets.runtime.label.sampled import sample_pixels, sample_steps
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, split_surfaces, undivided
-from spreadlets.runtime.options import DEFAULT_LAYERS, FRAME_SOFTNESS, MOST_LAYERS, SAMPLE_CLAMP, Options
+from spreadlets.runtime.options import (
+    FRAME_SOFTNESS,
+    MOST_LAYERS,
+    MOST_SAMPLE_LAYERS,
+    SAMPLE_CLAMP,
+    SAMPLE_SOFTNESS,
+    Options,
+)
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.evening import evened
+from spreadlets.runtime.plan.layering import Layering
 from spreadlets.runtime.plan.plan import Drawing, Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
 from spreadlets.runtime.report import CAMERA, NOTHING_MOVES, VECTORS, Report, Tally, plan_figures
@@ -330,13 +338,13 @@ def reconstruct(
     with clock.step("plan"):
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
-        n_layers = options.layers or DEFAULT_LAYERS
-        pixel_sets = evened(pixel_sets, n_layers)
+        layering = _layers_of_samples(pixel_sets[0], options)
+        pixel_sets = evened(pixel_sets, layering)
         effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
         drawn = sample_steps(samples, pixel_sets, camera, effects)
         shows_samples = _shows_samples(samples, camera, database, options)
-        draw = partial(plan_pixels, dense_psf=dense_psf, exact_psf=exact_psf)
-        plan = draw(drawn, database, options, n_layers, stochastic=True, lights=shows_samples)
+        draw = partial(plan_pixels, layering=layering, dense_psf=dense_psf, exact_psf=exact_psf)
+        plan = draw(drawn, database, options, layering.n_layers, stochastic=True, lights=shows_samples)
         n_samples = samples.n_samples
         seen = replace(plan, members=plan.members[:n_samples])
         visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)
@@ -427,6 +435,13 @@ def _clamped_samples(pixel_sets: list[Pixels], factor: float) -> tuple[list[Pixe
         return pixel_sets, 0
     colours, count = clamp_fireflies([(each.radiance, each.labels.shift) for each in pixel_sets], factor)
     return [each._replace(radiance=colour) for each, colour in zip(pixel_sets, colours, strict=True)], count
+
+
+def _layers_of_samples(pixels: Pixels, options: Options) -> Layering:
+    """Divide samples by depth where surfaces meet, as one sample of each pixel tells."""
+    met = np.where(pixels.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1))
+    softness = SAMPLE_SOFTNESS if options.softness is None else options.softness
+    return Layering.fitted([(pixels.labels, met)], options.layers or MOST_SAMPLE_LAYERS, softness)
 
 
 def _add_drawing(

@@ -36,21 +36,21 @@ MARGIN_PX = 64
 """How far beyond the frame samples are counted; what lies farther keeps the weight 1."""
 
 
-def evened(pixel_sets: Sequence[Pixels], n_layers: int) -> list[Pixels]:
+def evened(pixel_sets: Sequence[Pixels], layering: Layering) -> list[Pixels]:
     """Return samples with weights: the area that a sample stands for, over the mean of those around at like depths.
 
     Parameters
     ----------
     pixel_sets : sequence of Pixels
         One set for each sample of a pixel, with shifts.
-    n_layers : int
+    layering : Layering
         Depth layers, among whose samples each has its area.
     """
     # Find the layer of each sample that met something, and, layer by layer, the area that each stands for.
     met = [np.where(each.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1)) for each in pixel_sets]
     labelled = [(each.labels, there) for each, there in zip(pixel_sets, met, strict=True)]
-    layering = Layering.crowded(labelled, n_layers, 0.0)
-    layer = [np.where(there < 0, there, layering.members(labels, there).layer) for labels, there in labelled]
+    hard = layering.hard
+    layer = [np.where(there < 0, there, hard.members(labels, there).layer) for labels, there in labelled]
     shifts = [np.ascontiguousarray(each.labels.shift) for each in pixel_sets]
     areas = [np.zeros(there.shape, np.float32) for there in met]
     for number in range(layering.n_layers):

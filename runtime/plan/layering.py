@@ -24,9 +24,6 @@ STRAY_STRETCH = 2.0
 of a millimetre would put all else into one layer. Such pixels go to the first or the last layer."""
 RANGE_PIXELS = 1 << 16
 """About so many pixels are looked at to find them."""
-CROWDING, N_BINS = 0.25, 512
-"""Of the layers of samples so large a share is given out by the number of pixels, in steps of the range; the rest by
-parallax. All by parallax, most of a frame may lie in one layer; all by number, a small thing shares one with others."""
 N_STEPS = 64
 """Equal steps of parallax between whose borders the cuts are chosen."""
 
@@ -71,21 +68,15 @@ class Layering:
         """Number of layers, empty ones included."""
         return len(self.cuts) + 1
 
+    @property
+    def hard(self) -> Layering:
+        """The same layers, without transitions."""
+        return Layering(self.cuts, (0.0,) * len(self.cuts))
+
     @classmethod
     def equal(cls, labelled: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
         """Divide the range of depths of some pixels, sets of labels and variants, into equal layers."""
         return cls._of_borders(np.linspace(*_range(labelled), n_layers + 1), softness)
-
-    @classmethod
-    def crowded(cls, labelled: Sequence[Labelled], n_layers: int, softness: float) -> Layering:
-        """Divide the range of depths of some pixels into layers that are thinner where more of them lie."""
-        low, high = _range(labelled)
-        if n_layers == 1 or not high > low:
-            return cls()
-        counts, borders = np.histogram(np.clip(_nearness(labelled), low, high), N_BINS, (low, high))
-        share = (1.0 - CROWDING) / N_BINS + CROWDING * counts / max(counts.sum(), 1)
-        below = np.concatenate([[0.0], np.cumsum(share)])
-        return cls._of_borders(np.interp(np.linspace(0.0, below[-1], n_layers + 1), below, borders), softness)
 
     @classmethod
     def fitted(

@@ -25,7 +25,7 @@ from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
-from spreadlets.runtime.options import DEFAULT_TOLERANCE, FRAME_SOFTNESS, SAMPLE_SOFTNESS, SAMPLE_TOLERANCE, Options
+from spreadlets.runtime.options import DEFAULT_TOLERANCE, FRAME_SOFTNESS, SAMPLE_TOLERANCE, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
 from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
 from spreadlets.runtime.plan.border import border_limit, extended_pass
@@ -268,7 +268,7 @@ def plan_pixels(
     chosen = _choose(pixel_sets, database, tolerance, *makers, stochastic=stochastic, lights=lights, shared=shared)
     # Assign the pixels to depth layers.
     if layering is None:
-        layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness, stochastic=stochastic)
+        layering = _divide(pixel_sets, chosen.indices, n_layers, options.softness)
     n_layers, found = layering.n_layers, zip(pixel_sets, chosen.indices, strict=True)
     members = [layering.members(each.labels, index) for each, index in found]
     # Record what is needed, and what is not.
@@ -335,8 +335,6 @@ def _divide(
     indices: Sequence[npt.NDArray[np.int32]],
     n_layers: int,
     softness: float | None,
-    *,
-    stochastic: bool,
 ) -> Layering:
     """Divide the range of depths into layers."""
     frames = [
@@ -345,8 +343,6 @@ def _divide(
         if not each.is_list
     ]
     lists = [(each.labels, index) for each, index in zip(pixel_sets, indices, strict=True) if each.is_list]
-    if stochastic:
-        return Layering.crowded(frames, n_layers, SAMPLE_SOFTNESS if softness is None else softness)
     return Layering.fitted(frames, n_layers, FRAME_SOFTNESS if softness is None else softness, lists)
 
 

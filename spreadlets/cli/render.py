@@ -218,7 +218,7 @@ def _outcome(entry: Mapping[str, Any]) -> str:
 )
 @effect_options("Take")
 @splatting_options(
-    layers="4",
+    layers="as many as they need, at most 7",
     fireflies="Dim samples brighter than this times any other that comes from within a pixel (default: 32; inf: off).",
 )
 @cloup.option("--repair", is_flag=True, help="Drop invalid samples instead of refusing the buffer.")

@@ -141,19 +141,6 @@ def test_a_stray_depth_does_not_widen_the_range_but_a_small_object_does():
     assert near.cuts[0] == pytest.approx(-0.3 + 0.05), "close enough to count"
 
 
-def test_layers_are_thinner_where_more_pixels_lie():
-    """A quarter by number, the rest by parallax: half of the pixels in a tenth of the range."""
-    nearness = np.concatenate([np.linspace(0.1, 1.0, 5_000), np.linspace(0.1, 0.2, 5_000)]).reshape(100, 100)
-    labelled = [(labels_of(1 / nearness), np.zeros((100, 100), np.int32))]
-    made = Layering.crowded(labelled, 4, 1.0)
-    steps = np.diff([-1.0, *made.cuts, -0.1])
-    assert made.n_layers == 4 and (np.diff(steps) < 1e-3).all()
-    low, high = made.cuts[2], -0.1  # the farthest layer holds a quarter of both
-    number, parallax = ((nearness < -low).mean(), (high - low) / 0.9)
-    assert 0.25 * number + 0.75 * parallax == pytest.approx(0.25, abs=0.005)
-    assert Layering.crowded(labelled, 1, 1.0) == Layering()
-
-
 # --- the blur that shares and counts get
 
 
