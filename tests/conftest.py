@@ -18,6 +18,11 @@ collect_rarely()
 between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2
 
 
+def pytest_collection_modifyitems(items):
+    """Programs that run in processes of their own come last: what they need is compiled once, in this one."""
+    items.sort(key=lambda item: "integrations" in item.path.parts)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_thread():
     """As in a build: the threads of small matrix products would only wait for each other."""
