@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 import time
@@ -28,6 +29,12 @@ def one_thread():
     """As in a build: the threads of small matrix products would only wait for each other."""
     with threadpool_limits(1):
         yield
+
+
+@pytest.fixture
+def one_processor(monkeypatch):
+    """Builds that are not told how many processes to take have none start, which takes longer than their few cells."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
 @pytest.fixture(scope="session")
