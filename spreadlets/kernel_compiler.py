@@ -86,6 +86,9 @@ class _HelperCode(JITCodeLibrary):
         optimise.run(self._final_module, builder)
         self._finalized = True
 
+    def _optimize_functions(self, _: Any) -> None:
+        """Leave single functions as they are: all are optimised together."""
+
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _HelperLowering(_KernelLowering):

@@ -1,4 +1,4 @@
-"""Compiling all kernels ahead of their first use, by running on frames of a few pixels."""
+"""Compiling all kernels ahead of their first use, by running on frames of a few pixels, and from lists."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spreadlets.ahead import RUNS, compiled_ahead
+from spreadlets.ahead import RUNS, compile_entries, compiled_ahead, listed
 from spreadlets.api import reconstruct, synthesize
 from spreadlets.arrays import Image
 from spreadlets.compiled import count_compiled, kernel_folder
@@ -71,6 +71,8 @@ def warm_up(*, every_method: bool = False, progress: Callable[[int, int], None] 
         for done, run in enumerate(runs):
             progress(done, len(runs))
             run()
+        # Larger frames call more than these do.
+        compile_entries(listed(*RUNS))
         progress(len(runs), len(runs))
     return Warmup(count_compiled() - before, clock.compile_s, str(kernel_folder()))
 

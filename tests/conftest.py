@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 import time
@@ -18,11 +19,22 @@ collect_rarely()
 between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2
 
 
+def pytest_collection_modifyitems(items):
+    """Programs that run in processes of their own come last: what they need is compiled once, in this one."""
+    items.sort(key=lambda item: "integrations" in item.path.parts)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_thread():
     """As in a build: the threads of small matrix products would only wait for each other."""
     with threadpool_limits(1):
         yield
+
+
+@pytest.fixture
+def one_processor(monkeypatch):
+    """Builds that are not told how many processes to take have none start, which takes longer than their few cells."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
 @pytest.fixture(scope="session")

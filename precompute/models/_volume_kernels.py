@@ -100,7 +100,8 @@ def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost)
             step = (distance - z) / dz
             x, y = x + step * dx, y + step * dy
             ring = min(math.sqrt(x * x + y * y) / distance * scale, rings.shape[0] - 1.0)
-            rings[int(ring)] += weight
+            for channel in range(len(weight)):
+                rings[int(ring), channel] += weight[channel]
             return
         # Move to the collision, which absorbs a part of the light.
         x, y, z = x + step * dx, y + step * dy, z + step * dz
@@ -112,7 +113,8 @@ def _walk_one(distance, properties, scale, state, weight, rings, absorbed, lost)
         dx, dy, dz = _turn(dx, dy, dz, cosine, 2.0 * math.pi * uniform(state))
         step = free_path(density, state)
     # After too many collisions, give the path up.
-    lost += weight
+    for channel in range(len(weight)):
+        lost[channel] += weight[channel]
 
 
 @kernel

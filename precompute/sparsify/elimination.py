@@ -83,8 +83,10 @@ def _eliminate_run(
         budget -= float((value[batch] * step[:, len(index) :]).sum())
         value = value - block @ step[:, len(index) :]
         inverse = inverse - block @ step[:, : len(index)]
-        rest = np.delete(np.arange(len(index)), batch)
-        inverse, value, index = inverse[np.ix_(rest, rest)], value[rest], index[rest]
+        left = np.ones(len(index), np.bool_)
+        left[batch] = False
+        rest = np.flatnonzero(left)
+        inverse, value, index = inverse[rest[:, None], rest], value[rest], index[rest]
     return index
 
 
@@ -94,9 +96,11 @@ def _choose_batch(inverse: DoubleArray, cost: DoubleArray, price: float) -> IntA
     order = np.argsort(cost, kind="stable")[: 4 * n_most]
     order = order[cost[order] < price]
     spread = np.sqrt(np.diag(inverse)[order])
-    related = np.abs(inverse[np.ix_(order, order)]) > MAX_CORRELATION * np.outer(spread, spread)
+    related = np.abs(inverse[order[:, None], order]) > MAX_CORRELATION * (spread[:, None] * spread)
     chosen: list[int] = []
+    barred = np.zeros(len(order), np.bool_)
     for position in range(len(order)):
-        if len(chosen) < n_most and not related[position, chosen].any():
+        if len(chosen) < n_most and not barred[position]:
             chosen.append(position)
+            barred |= related[:, position]
     return order[chosen]

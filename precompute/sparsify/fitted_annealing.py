@@ -101,12 +101,12 @@ def anneal_fitted(
             # Rounding may leave nothing where the constraints alone fix a value: such a point stays.
             if len(free) == 0 or fit.inverse[point, point] <= 0.0:
                 continue
-            proposal = _judged(equations, fit, int(point), int(rng.choice(free)))
+            proposal = _judged(equations, fit, int(point), int(free[rng.integers(len(free))]))
             # Of an exact fit rounding leaves an error of 0 or below, which nothing may raise.
             chance = np.exp(-proposal.rise / (2.0 * temperature * error)) if proposal.rise >= 0.0 < error else 0.0
             if proposal.rise >= 0.0 and rng.random() >= chance:
                 continue
-            occupied[[fit.chosen[point], proposal.target]] = False, True
+            occupied[fit.chosen[point]], occupied[proposal.target] = False, True
             _move(fit, proposal)
             error += proposal.rise
             n_moves += 1
@@ -167,7 +167,7 @@ def _judged(equations: Equations, fit: Fit, point: int, target: int) -> Proposal
     answer -= fit.inverse[point] * (old @ equation)
     # Step 2: with the new one.
     schur = equations.gram[target, target] + fit.ridge - float(equation @ answer)
-    residual = equations.rhs[target] - equation @ (fit.solution - np.outer(old, value))
+    residual = equations.rhs[target] - equation @ (fit.solution - old[:, None] * value)
     answer[point] = -1.0
     return Proposal(point, target, answer, schur, residual, rise - float(residual @ residual) / schur)
 

@@ -149,10 +149,12 @@ def fill_unknown(begin, end, cover, known, mean, mean_known, prior, padding, fil
         # Repeat the first and the last row.
         if i == 0:
             for k in range(padding):
-                filled[k] = out
+                for j in range(len(out)):
+                    filled[k, j] = out[j]
         if i == last:
             for k in range(padding):
-                filled[padding + i + 1 + k] = out
+                for j in range(len(out)):
+                    filled[padding + i + 1 + k, j] = out[j]
 
 
 @kernel

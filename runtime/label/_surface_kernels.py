@@ -623,7 +623,8 @@ def list_mixed(begin, end, place, radiance, gap, mixed, columns, counts):
                         count += 1
                         listed[across] = True
             counts[row] = count
-        mixed[number] = listed
+        for across in range(mixed.shape[1]):
+            mixed[number, across] = listed[across]
 
 
 @helper
@@ -851,7 +852,8 @@ def recolour_surfaces(begin, end, radiance, place, share, colours):
     for row in range(begin, end):
         for col in range(width):
             for s in range(n):
-                colours[s, row, col] = radiance[row, col]
+                for c in range(radiance.shape[2]):
+                    colours[s, row, col, c] = radiance[row, col, c]
                 own[s] = share[s, row, col]
             if own[0] == 1.0:
                 continue

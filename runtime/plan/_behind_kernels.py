@@ -136,9 +136,10 @@ def clear_features(begin, end, corner, wanted, features):
 
 @helper
 def _add_nearness(flat, place, covers, depth):
-    """Add the nearness of pixels of a row, times what they cover, to the features of their cells."""
+    """Add the nearness of pixels of a row, times what they cover, to features of their cells, and go to the next."""
     for k in range(len(place)):
         flat[place[k, 1]] -= covers[k] / depth[place[k, 0]]
+        place[k, 1] += _U(1)
 
 
 @helper
@@ -148,6 +149,7 @@ def _add_motion(flat, place, covers, motion):
         col, at = place[k, 0], place[k, 1]
         flat[at] += covers[k] * motion[col, 0]
         flat[at + _U(1)] += covers[k] * motion[col, 1]
+        place[k, 1] += _U(2)
 
 
 @kernel
@@ -200,10 +202,8 @@ def add_features(begin, end, surface, at, planes, number, level, corner, wanted,
             if size > COLOUR + 1:
                 for depth in planes[0]:
                     _add_nearness(flat, place[:n], covers, depth[row])
-                    place[:n, 1] += _U(1)
                 for motion in planes[1]:
                     _add_motion(flat, place[:n], covers, motion[row])
-                    place[:n, 1] += _U(2)
         if level and not listed:
             for j in range(across):
                 if wanted[(i + above) // BLOCK, (j + before) // BLOCK]:

@@ -94,6 +94,16 @@ def bits_of(partition, begin, end):
     return found
 
 
+@helper
+def listed(which):
+    """Return the numbers of the elements that are true, int64."""
+    numbers, count = np.empty(len(which), np.int64), 0
+    for number in range(len(which)):
+        numbers[count] = number
+        count += which[number]
+    return numbers[:count]
+
+
 @kernel
 def full_moments(samples, box, moving, only, moments):
     """Sum the moments of a tile's partitions over all samples, or those of some partitions.
@@ -113,7 +123,7 @@ def full_moments(samples, box, moving, only, moments):
     """
     partition, motion, coc, first, width = samples
     top, left, bottom, right = box
-    numbers = np.flatnonzero(only)
+    numbers = listed(only)
     wanted = bits_of(numbers, 0, numbers.size)
     for row in range(top, bottom):
         begin, end = first[row * width + left], first[row * width + right]
@@ -309,10 +319,12 @@ def tile_layers(moments, spread, pixel, largest, moving, shrink, own, holes, fil
                 )
             last_longer, last_shorter = longer, shorter
         if merge:
-            moments[last] += moments[p]
+            for number in range(moments.shape[1]):
+                moments[last, number] += moments[p, number]
             last_longer, last_shorter = filter_extents(moments[last], spread, pixel, moving, scratch)
         else:
-            moments[n_layers] = moments[p]
+            for number in range(moments.shape[1]):
+                moments[n_layers, number] = moments[p, number]
             n_layers += 1
         own[p] = holes[p] = n_layers - 1
     for layer in range(n_layers):

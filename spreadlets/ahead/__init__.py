@@ -116,9 +116,15 @@ def record(run: str) -> str:
 
     with tempfile.TemporaryDirectory() as folder:
         {"synthesize": run_demo, "reconstruct": run_reconstruction_demo}[run](folder)
-    lines = (json.dumps((module, name, [*map(_description, arguments)])) for module, name, arguments in first_calls())
+    lines = (json.dumps(described(call)) for call in first_calls())
     # Two threads may both have looked for one.
     return "[\n" + ",\n".join(dict.fromkeys(lines)) + "\n]\n"
+
+
+def described(call: tuple[str, str, Any]) -> Entry:
+    """Return one of the `first_calls` as lists hold it."""
+    module, name, arguments = call
+    return module, name, [*map(_description, arguments)]
 
 
 def _description(numba_type: Any) -> Any:

@@ -78,6 +78,20 @@ def merge_into(row: DoubleArray, table: DoubleArray, share: DoubleArray) -> None
 
 
 @helper
+def insert(ascending: DoubleArray, count: int, value: float) -> int:
+    """Insert a value into the first numbers of an array, unless it is there; return how many they are now."""
+    place = count
+    while place > 0 and ascending[place - 1] > value:
+        place -= 1
+    if place > 0 and ascending[place - 1] == value:
+        return count
+    for i in range(count, place, -1):
+        ascending[i] = ascending[i - 1]
+    ascending[place] = value
+    return count + 1
+
+
+@helper
 def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
     """Split the samples of a pixel where others begin or end, sort them, and merge those that coincide.
 
@@ -94,10 +108,14 @@ def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
         How many there are.
     """
     # Between the bounds of all samples, none begins or ends.
-    bounds = np.unique(np.concatenate((table[:, FRONT], table[:, BACK])))
+    bounds = np.empty(2 * table.shape[0])
+    n_bounds = 0
+    for i in range(table.shape[0]):
+        n_bounds = insert(bounds, n_bounds, table[i, FRONT])
+        n_bounds = insert(bounds, n_bounds, table[i, BACK])
     share = np.zeros(table.shape[0])
     count = 0
-    for b in range(bounds.size):
+    for b in range(n_bounds):
         present = False
         for i in range(table.shape[0]):  # points, as surfaces are
             share[i] = 1.0 if table[i, FRONT] == bounds[b] and table[i, BACK] == bounds[b] else 0.0
@@ -106,7 +124,7 @@ def tidy_pixel(table: DoubleArray, out: DoubleArray) -> int:
             out[count, FRONT] = out[count, BACK] = bounds[b]
             merge_into(out[count], table, share)
             count += 1
-        if b + 1 == bounds.size:
+        if b + 1 == n_bounds:
             break
         present = False
         for i in range(table.shape[0]):  # volumes between this bound and the next

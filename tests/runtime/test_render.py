@@ -405,7 +405,7 @@ def test_a_model_without_motion_draws_it_as_one_with_motion_does(tmp_path, small
     from spreadlets.precompute.build.build import build_database
     from spreadlets.psf.database import open_database
 
-    build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0)
+    build_database("simplelens", tmp_path / "s.h5", samples=8, max_coc=6.0, jobs=1)
     frame = spot_frame(32, 32, 4.0, (12.0, 4.0))
     with open_database(tmp_path / "s.h5") as database:
         stepped, _ = synthesize(frame, CAMERA, database)

@@ -11,6 +11,8 @@ import spreadlets as sp
 from spreadlets import bokeh, metrics
 from spreadlets.errors import InvalidParameterError
 
+pytestmark = pytest.mark.usefixtures("one_processor")
+
 CAMERA = sp.ThinLens(focal_length_mm=80, sensor_width_mm=36, f_number=0.2, focus_distance_m=2.0)
 SHAPE = (48, 64)
 MODEL = sp.models.SimpleLens(blades=5, rotation=10.0, samples=12, max_coc=12.0)

@@ -334,7 +334,7 @@ def test_for_needs_a_camera_and_a_camera_frames_unless_the_model_depends_on_it(r
 
 def test_options_of_a_model_reach_it_and_are_refused_elsewhere(run, tmp_path):
     path = tmp_path / "blades.h5"
-    arguments = "--samples", "3", "--max-coc", "4", "--blades", "5", "--squeeze", "0.8", "--json"
+    arguments = "--samples", "3", "--max-coc", "4", "--blades", "5", "--squeeze", "0.8", "--json", "--jobs", "1"
     assert run("build", "simplelens", "-o", path, *arguments)[0] == 0
     with open_database(path) as database:
         aperture = database.grid.model.settings["aperture"]

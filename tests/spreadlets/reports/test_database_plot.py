@@ -17,8 +17,8 @@ ROWS_OF_IMAGES = 3
 STATISTICS_PANELS = 3
 
 
-@pytest.fixture
-def drawn(monkeypatch):
+@pytest.fixture(scope="module")
+def drawn():
     """The figures that are written, in order."""
     from matplotlib.figure import Figure
 
@@ -28,8 +28,18 @@ def drawn(monkeypatch):
         figures.append(figure)
         write(figure, *arguments, **options)
 
-    monkeypatch.setattr(Figure, "savefig", savefig)
-    return figures
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Figure, "savefig", savefig)
+        yield figures
+
+
+@pytest.fixture(scope="module")
+def picture(small_combined_path, tmp_path_factory, drawn):
+    """The plot of a database, and its file."""
+    path = tmp_path_factory.mktemp("plot") / "quality.png"
+    with open_database(small_combined_path) as database:
+        plot_database(database, path, DensePsfs(database))
+    return drawn[-1], path
 
 
 def images(figure, row):
@@ -37,16 +47,16 @@ def images(figure, row):
     return [axes.images[0].get_array() for axes in figure.get_axes() if axes.images][row::ROWS_OF_IMAGES]
 
 
-def test_the_picture_has_all_its_panels_and_they_show_every_spreadlet(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
-    assert len(drawn[0].get_axes()) == STATISTICS_PANELS + ROWS_OF_IMAGES * plot.N_WORST
-    pixels = imread(tmp_path / "quality.png")[..., :3]
+def test_the_picture_has_all_its_panels_and_they_show_every_spreadlet(small_combined, picture):
+    figure, path = picture
+    assert len(figure.get_axes()) == STATISTICS_PANELS + ROWS_OF_IMAGES * plot.N_WORST
+    pixels = imread(path)[..., :3]
     assert pixels.shape[:2] == tuple(int(inches * plot.DPI) for inches in plot.FIGURE_INCHES[::-1])
     upper, lower = np.array_split(pixels, 2)
     # Text alone covers about a hundredth.
     assert (upper != 255).any(axis=2).mean() > 0.05 and (lower != 255).any(axis=2).mean() > 0.05
-    assert [path.name for path in tmp_path.iterdir()] == ["quality.png"]
-    assert counts(drawn[0]) == [small_combined.n_spreadlets] * STATISTICS_PANELS
+    assert [each.name for each in path.parent.iterdir()] == ["quality.png"]
+    assert counts(figure) == [small_combined.n_spreadlets] * STATISTICS_PANELS
 
 
 def counts(figure):
@@ -65,18 +75,18 @@ def test_what_a_database_leaves_out_is_not_shown(small_combined, tmp_path, drawn
     write_database(tmp_path / "few.h5", grid, cells, {})
     with open_database(tmp_path / "few.h5") as few:
         plot_database(few, tmp_path / "quality.png", DensePsfs(few))
-    assert counts(drawn[0]) == [2] * STATISTICS_PANELS
-    assert len(images(drawn[0], 0)) == 2
+    assert counts(drawn[-1]) == [2] * STATISTICS_PANELS
+    assert len(images(drawn[-1], 0)) == 2
 
 
-def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, tmp_path, drawn):
-    plot_database(small_combined, tmp_path / "quality.png", DensePsfs(small_combined))
-    titles = [axes.get_title() for axes in drawn[0].get_axes() if axes.images and axes.get_title()]
+def test_the_worst_cells_come_first_and_show_what_is_stored(small_combined, picture):
+    figure, _ = picture
+    titles = [axes.get_title() for axes in figure.get_axes() if axes.images and axes.get_title()]
     shown = [float(title.split(",")[0]) for title in titles]
     similarity = small_combined.statistics()["ssim"]
     worst = np.minimum.reduceat(similarity, small_combined.cell_start[:-1])
     np.testing.assert_allclose(shown, np.sort(worst)[: plot.N_WORST], atol=1e-4)
-    for psf, spreadlet, difference in zip(*(images(drawn[0], row) for row in range(ROWS_OF_IMAGES)), strict=True):
+    for psf, spreadlet, difference in zip(*(images(figure, row) for row in range(ROWS_OF_IMAGES)), strict=True):
         assert psf.max() == pytest.approx(1.0)
         assert spreadlet.sum() == pytest.approx(psf.sum(), rel=1e-2)
         np.testing.assert_allclose(spreadlet - psf, difference, atol=1e-12)
