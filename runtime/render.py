@@ -441,7 +441,7 @@ def _layers_of_samples(pixels: Pixels, options: Options) -> Layering:
     """Divide samples by depth where surfaces meet, as one sample of each pixel tells."""
     met = np.where(pixels.radiance[..., 3] > 0.0, np.int32(0), np.int32(-1))
     softness = SAMPLE_SOFTNESS if options.softness is None else options.softness
-    return Layering.fitted([(pixels.labels, met)], options.layers or MOST_SAMPLE_LAYERS, softness, columns=True)
+    return Layering.fitted([(pixels.labels, met)], options.layers or MOST_SAMPLE_LAYERS, softness)
 
 
 def _add_drawing(

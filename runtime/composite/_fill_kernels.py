@@ -110,10 +110,14 @@ def _without_lamps(limits, least, bits, row, col, sums, measure):
 
 @helper
 def _blend(image, row, col, red, green, blue, alpha, opaque, beyond):
-    """Put a premultiplied colour behind a pixel, ``beyond`` more of it than the pixel leaves to be seen in the mean."""
+    """Put a premultiplied colour behind a pixel, ``beyond`` more of it than the pixel leaves to be seen in the mean.
+
+    Of what the pixel leaves, no more can be seen past the colour than the colour leaves.
+    """
     left = np.float32(1.0) - image[row, col, 3]
     if beyond != np.float32(0.0) and not opaque and alpha > LEAST_ALPHA:
-        left = min(max(left + beyond / alpha, np.float32(0.0)), min(left / alpha, np.float32(1.0)))
+        least = max((left + alpha - np.float32(1.0)) / alpha, np.float32(0.0))
+        left = min(max(left + beyond / alpha, least), min(left / alpha, np.float32(1.0)))
     image[row, col, 0] += left * red
     image[row, col, 1] += left * green
     image[row, col, 2] += left * blue

@@ -12,6 +12,8 @@ MOMENTS = ("weight", "coc", "coc squared", "length squared", "motion x", "motion
 
 LEAST_UNCOVERED = np.float32(0.05)
 """Share of a pixel that a layer leaves uncovered, and not just because its share is not known better."""
+SLIVER = np.float32(0.05)
+"""Where a blur meets less than that of what a layer leaves, this does not tell what the rest is."""
 MIXED = np.float32(1e-3)
 """The same of a pixel that shows some of what lies beyond itself."""
 STEP_PX, MOST_STEPS = 3.0, 64.0
@@ -139,20 +141,22 @@ def complete_cover(begin, end, cover, place, known, number, nearer, beyond):
 
 @kernel
 def divide_shares(begin, end, nearer, beyond, around, least):
-    """Divide ``beyond`` by the sum of both, in place; where that is less than ``least``, take what lies ``around``.
+    """Divide ``beyond`` by the sum of both, in place; where that is little, by far, what lies ``around`` tells.
 
     Parameters
     ----------
     nearer, beyond : ndarray of shape (H, W), float32
     around : tuple of two ndarrays of shape (H, W), float32
-        The same of all that the farthest pixels of the layer blur over.
+        The same of all that the farthest pixels of the layer blur over: counts for what the sum is less than `SLIVER`.
     least : float32
+        Sum below which there is neither.
     """
     for row in range(begin, end):
         for col in range(beyond.shape[1]):
             hidden, left = nearer[row, col], beyond[row, col]
-            if hidden + left < least:
-                hidden, left = around[0][row, col], around[1][row, col]
+            share = max(SLIVER - hidden - left, np.float32(0.0))
+            hidden += share * around[0][row, col]
+            left += share * around[1][row, col]
             beyond[row, col] = left / max(hidden + left, least)
 
 

@@ -15,7 +15,7 @@ from spreadlets.parallel import for_blocks
 from spreadlets.runtime.label.labels import EVERYWHERE, Labels
 from spreadlets.runtime.plan import _cut_kernels
 
-MEETING_PIXELS = 1 << 17
+MEETING_PIXELS = 1 << 16
 """About so many pixels are looked at, in rows and in columns."""
 LEAST_GAIN = 0.005
 """Mean harm, px of blur for each pair of pixels, that a further layer must spare: it costs a pass over its canvas."""
@@ -55,13 +55,7 @@ class Steps(NamedTuple):
 
 
 def find_steps(
-    frames: Sequence[Labelled],
-    low: float,
-    high: float,
-    n_steps: int,
-    lists: Sequence[Labelled] = (),
-    *,
-    columns: bool = False,
+    frames: Sequence[Labelled], low: float, high: float, n_steps: int, lists: Sequence[Labelled] = ()
 ) -> Steps:
     """Count which steps of depth meet in some pixels.
 
@@ -74,25 +68,21 @@ def find_steps(
     n_steps : int
     lists : sequence of (labels, variant)
         Of lists of pixels, which meet the first frame's.
-    columns : bool
-        Whether what meets along columns counts, too. Where a floor meets what lies behind it, a cut shows more than it
-        mends, if what is hidden must be guessed.
     """
     shapes = (2, n_steps), (2, n_steps, n_steps), (n_steps + 1,)
     blocks = [np.zeros((_cut_kernels.COUNTING_BLOCKS, *shape)) for shape in shapes]
     # Thin the rows and columns of large frames.
     stride = max(1, math.isqrt(frames[0][1].size // MEETING_PIXELS))
     steps = low, n_steps / (high - low)
-    # Count which steps meet along rows, and columns, and which borders part neighbours; take the mean of both.
+    # Count which steps meet along rows and columns, and which borders part neighbours; take the mean of both.
     positions = [np.empty((-(-len(variant) // stride), variant.shape[1], 3)) for _, variant in frames]
     for (labels, variant), position in zip(frames, positions, strict=True):
         given = _planes(labels, variant), EVERYWHERE, stride, steps, position
         for_blocks(_cut_kernels.count_steps, _cut_kernels.COUNTING_BLOCKS, *given, *blocks)
-        if columns:
-            turned = tuple(np.ascontiguousarray(each[:, ::stride].swapaxes(0, 1)) for each in given[0])
-            upright = turned, EVERYWHERE, 1, steps, np.empty((*turned[0].shape, 3))
-            for_blocks(_cut_kernels.count_steps, _cut_kernels.COUNTING_BLOCKS, *upright, *blocks)
-    sums, meetings, seams = ((0.5 if columns else 1.0) * each.sum(axis=0) for each in blocks)
+        columns = tuple(np.ascontiguousarray(each[:, ::stride].swapaxes(0, 1)) for each in given[0])
+        upright = columns, EVERYWHERE, 1, steps, np.empty((*columns[0].shape, 3))
+        for_blocks(_cut_kernels.count_steps, _cut_kernels.COUNTING_BLOCKS, *upright, *blocks)
+    sums, meetings, seams = (0.5 * each.sum(axis=0) for each in blocks)
     # Count which steps meet between the passes.
     for first, second in combinations(positions, 2):
         _add_meetings(first, second, meetings)

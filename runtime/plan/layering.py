@@ -80,24 +80,18 @@ class Layering:
 
     @classmethod
     def fitted(
-        cls,
-        labelled: Sequence[Labelled],
-        most: int,
-        softness: float,
-        lists: Sequence[Labelled] = (),
-        *,
-        columns: bool = False,
+        cls, labelled: Sequence[Labelled], most: int, softness: float, lists: Sequence[Labelled] = ()
     ) -> Layering:
         """Cut the range of depths of frames, at most so many layers, where surfaces meet that blur differently.
 
-        Lists of pixels meet the first frame's; ``columns`` as for `find_steps`.
+        Lists of pixels meet the first frame's.
         """
         if most == 1:
             return cls()
         low, high = _range(labelled)
         if not high > low:
             return cls()
-        cuts = best_cuts(find_steps(labelled, low, high, N_STEPS, lists, columns=columns), most)
+        cuts = best_cuts(find_steps(labelled, low, high, N_STEPS, lists), most)
         borders = low + (high - low) / N_STEPS * np.concatenate([[0.0], cuts, [N_STEPS]])
         return cls._of_borders(borders, softness)
 

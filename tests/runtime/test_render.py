@@ -148,6 +148,20 @@ def test_layers_are_composited_nearest_first(small_combined):
     assert report["plan"]["layers"] == 2
 
 
+def test_what_lies_across_the_picture_is_cut_off_as_what_stands_in_it(small_combined):
+    """A rail out of focus, before a texture in focus: it does not hide the texture, nor does that sharpen the rail."""
+    coc = np.full((SIZE, SIZE), 0.0)
+    coc[28:36] = -11.0
+    radiance = np.random.default_rng(0).uniform(0.2, 0.8, (SIZE, SIZE, 1)) * np.ones(3)
+    radiance[28:36] = (0.9, 0.1, 0.1)
+    lying, _ = synthesize(Frame(radiance, depth_of(coc)), CAMERA, small_combined)
+    turned = Frame(np.swapaxes(radiance, 0, 1), depth_of(coc.T))
+    standing, report = synthesize(turned, CAMERA, small_combined)
+    assert report.plan.layers == 2
+    inner = slice(14, -14)
+    assert np.abs(np.swapaxes(lying, 0, 1) - standing)[inner, inner].max() < 2e-3
+
+
 def test_a_lone_opaque_pixel_keeps_its_transparency(small_combined):
     radiance = np.zeros((41, 41, 4), np.float32)
     radiance[20, 20] = 1.0

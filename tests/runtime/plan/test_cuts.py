@@ -14,13 +14,13 @@ SCALE, FOCUS = 60.0, 4.0
 """The CoC radius is SCALE (1 / FOCUS - 1 / depth), px."""
 
 
-def fitted(coc, most=12, motion=0.0, softness=0.0, columns=False):
+def fitted(coc, most=12, motion=0.0, softness=0.0):
     """Cuts, as CoC radii, of an image of CoC radii."""
     coc = np.asarray(coc, np.float32)
     depth = 1.0 / (1.0 / FOCUS - coc / SCALE)
     path = np.stack([np.broadcast_to(np.float32(motion), coc.shape), np.zeros_like(coc)], axis=-1)
     labels = Labels(coc, path, path[..., 0], None, View(depth.astype(np.float32), 1.0, 1.0))
-    made = Layering.fitted([(labels, np.zeros(coc.shape, np.int32))], most, softness, columns=columns)
+    made = Layering.fitted([(labels, np.zeros(coc.shape, np.int32))], most, softness)
     return SCALE * (1.0 / FOCUS + np.array(made.cuts)), made
 
 
@@ -64,17 +64,16 @@ def test_more_layers_part_more_surfaces_up_to_the_number_allowed():
     assert counts[:3] == [1, 2, 4] and 6 <= counts[3] <= 12
 
 
-def test_where_columns_count_surfaces_that_meet_along_them_are_cut_as_those_along_rows():
+def test_surfaces_that_meet_along_columns_are_cut_as_those_along_rows():
     bands = blocks([[-10] * 4, [6] * 4, [-10] * 4, [6] * 4])
-    (found, _), (turned, _) = fitted(bands, columns=True), fitted(bands.T, columns=True)
-    assert len(found) == 1 and not len(fitted(bands)[0])
+    (found, _), (turned, _) = fitted(bands), fitted(bands.T)
+    assert len(found) == 1
     np.testing.assert_allclose(found, turned, rtol=1e-6)
 
 
-@pytest.mark.parametrize("columns", [False, True])
-def test_a_slope_is_not_cut_whichever_way_it_leans(columns):
+def test_a_slope_is_not_cut_whichever_way_it_leans():
     for coc in (slant(-12, 12), slant(-12, 12).T):
-        assert not len(fitted(coc, columns=columns)[0])
+        assert not len(fitted(coc)[0])
 
 
 def test_without_defocus_the_motion_tells_where_to_cut():

@@ -372,6 +372,23 @@ def test_a_hole_in_a_bright_layer_is_as_bright():
     assert np.allclose(behind_hole(colour, seen, blur=2.0)[..., 0], 30.0, rtol=1e-5)
 
 
+@pytest.mark.parametrize(("alpha", "least"), [(1.0, 1.0), (0.8, 0.8)])
+def test_past_a_layer_no_more_is_seen_than_it_leaves(alpha, least):
+    """However its shares meet those of nearer ones, of which less of it may be seen than in the mean."""
+    image = np.full((8, 8, 4), 0.4, np.float32)
+    sums = np.full((8, 8, 4), alpha, np.float32)
+    ones = np.ones((8, 8), np.float32)
+    add_layer(image, sums, (0, 0), REST, seen=ones, beyond=np.float32(-0.9) * ones)
+    assert np.allclose(image[..., 3], least, atol=1e-6)
+
+
+def test_a_sliver_at_the_rim_of_a_blur_does_not_tell_what_is_left_there():
+    nearer, beyond = np.full((1, 4), 1e-4, np.float32), np.zeros((1, 4), np.float32)
+    around = np.full((1, 4), 0.2, np.float32), np.full((1, 4), 0.6, np.float32)
+    _visibility_kernels.divide_shares(0, 1, nearer, beyond, around, np.float32(1e-6))
+    assert np.allclose(beyond, 0.75, atol=0.01)
+
+
 def test_samples_that_passed_make_a_layer_transparent():
     sums = np.full((8, 8, 4), 3.0, np.float32) * np.float32([0.5, 0.5, 0.5, 1.0])
     image = np.zeros((8, 8, 4), np.float32)
