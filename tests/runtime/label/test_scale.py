@@ -64,11 +64,15 @@ def test_a_lens_that_tells_them_apart_is_not_outdone():
     assert scale <= separating_scale(layer, wide) <= np.sqrt(2.0) * scale
 
 
-def test_a_slope_does_not_fall_apart_beside_what_hardly_differs_in_depth():
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_slope_does_not_fall_apart_beside_what_hardly_differs_in_depth(times):
+    """Nor does one of pixels that are repeated, which changes at every second one only."""
     layer, _ = moving_disc(near=FAR - 0.001)
     # A floor as steep as that from one pixel to the next.
-    floor = 1.0 / (1.0 / layer.depth + 0.0006 * np.arange(SIDE)[:, None]).astype(np.float32)
-    place = places(replace(layer, depth=floor), separating_scale(replace(layer, depth=floor), STOPPED_DOWN))
+    floor = 1.0 / (1.0 / layer.depth + 0.0006 * np.arange(SIDE)[:, None])
+    depth, motion = (each.repeat(times, 0).repeat(times, 1) for each in (floor, times * layer.motion))
+    slope = Frame(np.ones((*depth.shape, 3)), depth, motion).layers[0]
+    place = places(slope, separating_scale(slope, STOPPED_DOWN))
     assert np.abs(np.diff(place[:, 0])).max() < 0.3
 
 
