@@ -17,7 +17,7 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--larger", type=Path)
     given = arguments.parse_args()
-    folders = [given.frames, *([given.larger] if given.larger else [])]
+    folders = [*([given.larger] if given.larger else []), given.frames]
     report = Report()
     report.row("frame", "px", "samples", "s", "s for each", "halves", "denoised", first=22)
     for path in (folder / f"{name}.json" for folder in folders for name in (*SCENES, "rain")):
