@@ -248,7 +248,7 @@ def _is_bright(surface: Surface) -> BoolArray:
 
 
 class KeptSurfaces:
-    """Splits layers, and keeps what it found: focus and shutter do not change it. It may be used from several threads.
+    """Splits layers, and keeps what it found: focus does not change it. It may be used from several threads.
 
     What a layer is split into is kept from the second time on: a single picture needs the memory for other things.
 
@@ -268,15 +268,16 @@ class KeptSurfaces:
         """Return the surfaces of a layer; those of a very large one are not kept."""
         if _surface_kernels.MOST * layer.depth.size > MOST_KEPT_PIXELS:
             return self._find(layer, camera)
+        with self._lock:
+            is_first = layer not in self._asked
+            self._asked.add(layer)
+        if is_first:
+            return self._find(layer, camera)
         key = id(layer), separating_scale(layer, camera)
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key][1]
-            is_first = layer not in self._asked
-            self._asked.add(layer)
-        if is_first:
-            return self._find(layer, camera)
         found = list(self._find(layer, camera))
         with self._lock:
             # The layer is kept as long as its number stands for it.
