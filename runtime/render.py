@@ -361,13 +361,13 @@ def reconstruct(
     with clock.step("composite"):
         if parts:
             shown = plan.highlights.without_lights(pixel_sets)
-            image = calibrated(
-                parts,
-                [
-                    PlacedSamples(each.radiance, place, each.labels.coc, each.labels.length)
-                    for each, place in zip(shown, _places(samples, visibility), strict=True)
-                ],
-            )
+            places = _places(samples, visibility)
+            given = zip(shown, places, visibility.paths, np.moveaxis(samples.offset, 2, 0), strict=True)
+            placed = [
+                PlacedSamples(each.radiance, place, each.labels.coc, path, np.ascontiguousarray(offset))
+                for each, place, path, offset in given
+            ]
+            image = calibrated(parts, placed)
         else:
             plan.left_out.append("calibration")
         add_lights(image, plan, drawn, samples.valid)

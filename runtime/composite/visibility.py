@@ -176,7 +176,7 @@ class PassingSamples:
             for each in (samples.offset, samples.lens_uv, since_centre)
         )
         self._passes = list(zip(self.members, offset, lens, time, strict=True))
-        self._paths = sample_paths(samples, pixel_sets, camera)
+        self.paths = sample_paths(samples, pixel_sets, camera)
         self._duration = camera.shutter_duration
         self.moments = self._moments(pixel_sets, plan.n_layers)
         if not defocus:
@@ -202,7 +202,7 @@ class PassingSamples:
         moments = self.moments[number]
         if moments is None:
             return None
-        return layers.passing_samples(self._passes, self._paths, number, moments, self._duration)
+        return layers.passing_samples(self._passes, self.paths, number, moments, self._duration)
 
     def guessed_blur(self, number: int) -> None:
         """Return nothing: other samples saw what lies hidden."""

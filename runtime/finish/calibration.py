@@ -16,7 +16,7 @@ import numpy as np
 from spreadlets.arrays import FloatArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.finish import _calibration_kernels
-from spreadlets.runtime.finish.edges import PlacedSamples, keep_edges, sharp_samples
+from spreadlets.runtime.finish.edges import PlacedSamples, keep_edges, keep_outlines
 from spreadlets.runtime.finish.gains import BLOCK, SCALES, believed_gains, block_counts
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer, valid_values
@@ -106,13 +106,10 @@ def calibrated(layers: Sequence[tuple[int, Image]], samples: Sequence[PlacedSamp
     seen = believed_gains(cover[:, :, 0].swapaxes(0, 1), shares, shared=True)
     for (number, layer), sums, share, radius in zip(layers, colour, seen, spread, strict=True):
         gain = np.ascontiguousarray(np.stack([*(share * believed_gains(sums, scales, radius)), share], axis=-1))
-        sharp = sharp_samples(samples, number)
-        if sharp is None:
-            for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, image, whole)
-            continue
         shown = np.zeros_like(image)
         for_bands(_calibration_kernels.add_layer, len(image), layer, gain, BLOCK, shown, whole)
-        keep_edges(shown, sharp, limits[1])
+        keep_edges(shown, samples, number, limits[1])
+        keep_outlines(shown, samples, number)
         image += shown
     # Together they cover as much as before.
     image[..., :3] *= (whole / np.where(image[..., 3] > 0.0, image[..., 3], np.float32(1.0)))[..., None]

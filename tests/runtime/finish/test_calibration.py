@@ -31,7 +31,8 @@ def texture(rng):
 def placed(colours, place, coc=8.0):
     """Samples of one blur that are still."""
     shape = colours.shape[:2]
-    return PlacedSamples(colours, place, np.full(shape, coc, np.float32), np.zeros(shape, np.float32))
+    still = np.zeros((*shape, 2), np.float32)
+    return PlacedSamples(colours, place, np.full(shape, coc, np.float32), still, still)
 
 
 def of_one_layer(image, samples, valid=None, coc=8.0):
