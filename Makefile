@@ -47,9 +47,11 @@ scenes: $(VENV)-scenes/.installed
 	set -e; for scene in $(SCENES); do \
 	    $(VENV)-scenes/bin/python scenes/render.py $$scene --size $(SIZE) --effort $(EFFORT) -o frames; done
 
+# A Python's own pip may be years old; a new one takes half as long to choose among many versions.
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("spreadlets needs Python 3.11 or newer, not " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --no-compile --upgrade pip
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --no-compile --editable '.[metrics]'

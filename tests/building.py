@@ -5,7 +5,7 @@ import json
 import h5py
 import numpy as np
 
-CASE = {"samples": 12, "max_coc": 4.0, "max_motion": 4.0, "rays": 10_000, "seed": 2}
+CASE = {"samples": 12, "max_coc": 4.0, "max_motion": 4.0, "rays": 10_000, "seed": 2, "sparsifier": "quick"}
 
 
 def contents(path):

@@ -16,7 +16,7 @@ from spreadlets.psf.database import open_database
 collect_rarely()
 
 # Databases that tests build are compared with the exact PSF at a few places: a thousand take many seconds.
-between_cells.N_COORDINATES, between_cells.N_TRACED = 16, 2
+between_cells.N_COORDINATES, between_cells.N_TRACED = 8, 2
 
 
 def pytest_collection_modifyitems(items):
@@ -37,11 +37,14 @@ def one_processor(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
 
 
+SMALL = {"samples": 14, "max_coc": 12.0, "max_motion": 16.0, "seed": 1, "sparsifier": "quick"}
+
+
 @pytest.fixture(scope="session")
 def small_combined_path(tmp_path_factory):
     """A database of a few cells, built once for the whole run: CoC to 12 px, motion to 16 px."""
     path = tmp_path_factory.mktemp("databases") / "small.h5"
-    build_database("combined", path, samples=28, max_coc=12.0, max_motion=16.0, seed=1, jobs=1)
+    build_database("combined", path, **SMALL, jobs=1)
     return path
 
 

@@ -17,7 +17,7 @@ from spreadlets.psf.database import open_database
 SHIPPED = sorted((Path(__file__).resolve().parent.parent / "psf_db").glob("*.h5"))
 FRESH = "built from scratch"
 
-N_SAMPLED = {"volume": 3, "stylized": 8, "physicallens": 8}
+N_SAMPLED = {"volume": 3, "stylized": 6, "physicallens": 8}
 """Spreadlets that are traced and reconstructed in each database, spread evenly over its cells; of others as many as
 `USUALLY_SAMPLED`. Some take long to trace."""
 USUALLY_SAMPLED = 24

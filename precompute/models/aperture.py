@@ -126,8 +126,7 @@ class Aperture:
             if not is_good:
                 raise InvalidParameterError(f"{option(name)} is {getattr(self, name)}: allowed are {text}")
         # Check that all of them together leave a part of the pupil open.
-        u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
-        share = float((self.clearance(u, v) > 0.0).mean()) / (math.pi / 4.0)
+        share = _open_share(self)
         if share < LEAST_OPEN:
             raise InvalidParameterError(
                 f"the aperture lets no light through, or too little: {100 * share:.2g} % of the open lens, where "
@@ -184,6 +183,13 @@ class Aperture:
         return self.squeeze * stretch * u, stretch * v
 
 
+@lru_cache(maxsize=64)
+def _open_share(aperture: Aperture) -> float:
+    """Return the share of the open lens that an aperture leaves open; a build asks for the same one for each PSF."""
+    u, v = np.meshgrid(np.linspace(-1.0, 1.0, N_TIMES // 8), np.linspace(-1.0, 1.0, N_TIMES // 8))
+    return float((aperture.clearance(u, v) > 0.0).mean()) / (math.pi / 4.0)
+
+
 PARTS = {"blade_curvature": "blades", "rotation": "blades", "cats_eye_angle": "cats_eye"}
 """Parameters that mean nothing without another."""
 
@@ -237,7 +243,7 @@ def tracer(model: PsfModel, side: int) -> Tracer:
     Without spherical aberration, straight lines across the aperture have straight images, and an even shutter moves
     them evenly: then every line is integrated along both, as a round lens's are.
     """
-    aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
+    aperture = Aperture(**model.settings["aperture"])
     curve = model.settings["shutter_curve"]
     moves, radial = model.has_motion, aperture.cats_eye_radial
     straight = not aperture.spherical_aberration and not (moves and curve)
@@ -295,7 +301,7 @@ def drawn_psf(model: PsfModel, coordinate: Sequence[float], angle: float, side: 
     ndarray of shape (n, n, 1), float64
         Centred; of sum 1.
     """
-    aperture = _stored_aperture(tuple(model.settings["aperture"].items()))
+    aperture = Aperture(**model.settings["aperture"])
     radius, field = max(coordinate[0], LEAST_DRAWN_PX), coordinate[1:]
     half = math.ceil(radius) + 1
     # Look at places on the lens, several for each pixel along both axes.
@@ -374,17 +380,10 @@ def _curved_chords(
     return polylines(x, y, np.ones((*x.shape, 1)), aperture.clearance(*places, eye))
 
 
-@lru_cache(maxsize=16)
-def _stored_aperture(shape: tuple[tuple[str, Any], ...]) -> Aperture:
-    """Return the aperture of a model's settings; a build asks for the same one for each PSF."""
-    return Aperture(**dict(shape))
-
-
 def _symmetriser(model: PsfModel) -> Any:
     """Return the average over the symmetries that aperture and shutter leave."""
     symmetry = model.symmetry
     if symmetry.lattice and not model.has_direction:
         return lattice_symmetric
-    shape = tuple(model.settings["aperture"].items())
-    even = _stored_aperture(shape).is_point_symmetric and not symmetry.arrow
+    even = Aperture(**model.settings["aperture"]).is_point_symmetric and not symmetry.arrow
     return point_symmetric if even else unchanged

@@ -48,4 +48,5 @@ def largest_around(values: npt.NDArray[Value], reach: int) -> npt.NDArray[Value]
             np.maximum(around[step:], lines[:-step], out=around[step:])
             np.maximum(around[:-step], lines[step:], out=around[:-step])
         values = np.moveaxis(around, 0, axis)
-    return values
+    # In the order that kernels are compiled for.
+    return np.ascontiguousarray(values)

@@ -93,8 +93,8 @@ def lloyd(importance, points):
     return np.unique(np.rint(point).astype(int), axis=0)
 
 
-def anneal(psf, laplacian, points, rng):
-    """400 steps, each moving a hundredth of the points by at most a pixel, judged by the L1 error of Voronoi sums."""
+def anneal(psf, laplacian, points, rng, n_steps=400):
+    """Steps, each moving a hundredth of the points by at most a pixel, judged by the L1 error of Voronoi sums."""
     height, width = psf.shape[:2]
     pixel = np.argwhere(np.ones((height, width)))
     half = np.array([height // 2, width // 2])
@@ -106,21 +106,21 @@ def anneal(psf, laplacian, points, rng):
 
     points = np.unique(points, axis=0)
     best, least, now = points, cost(points), cost(points)
-    for step in range(400):
+    for step in range(n_steps):
         chosen = rng.choice(len(points), size=max(1, round(0.01 * len(points))), replace=False)
         moved = points.copy()
         moved[chosen] += rng.integers(-1, 2, size=(len(chosen), 2))
         moved = np.unique(np.clip(moved, 0, [height - 1, width - 1]), axis=0)
         after = cost(moved)
-        if rng.random() < np.exp(-max(after - now, 0) / (2e-3 * (1 - step / 400) * now)):
+        if rng.random() < np.exp(-max(after - now, 0) / (2e-3 * (1 - step / n_steps) * now)):
             points, now = moved, after
         if now < least:
             best, least = points, now
     return best
 
 
-def anneal_fitted(equations, neighbours, index, rng):
-    """400 steps, each moving a hundredth of the points to a free neighbour, judged by the minimum of the form."""
+def anneal_fitted(equations, neighbours, index, rng, n_steps=400):
+    """Steps, each moving a hundredth of the points to a free neighbour, judged by the minimum of the form."""
 
     def minimum(chosen):
         chosen = np.array(chosen)
@@ -131,7 +131,7 @@ def anneal_fitted(equations, neighbours, index, rng):
 
     index = list(index)
     best, least, now = sorted(index), minimum(index), minimum(index)
-    for step in range(400):
+    for step in range(n_steps):
         for point in rng.choice(len(index), size=max(1, round(0.01 * len(index))), replace=False):
             free = [c for c in neighbours[index[point]] if c not in index]
             if not free:
@@ -140,7 +140,7 @@ def anneal_fitted(equations, neighbours, index, rng):
             moved[point] = int(rng.choice(free))
             after = minimum(moved)
             # The error is a root: half the relative rise of its square.
-            if after < now or rng.random() < np.exp(-(after - now) / (2 * 1e-4 * (1 - step / 400) * now)):
+            if after < now or rng.random() < np.exp(-(after - now) / (2 * 1e-4 * (1 - step / n_steps) * now)):
                 index, now = moved, after
         if now < least:
             best, least = sorted(index), now

@@ -26,10 +26,13 @@ CAMERA = ThinLens(
 )
 """Wide open, so that a small frame is blurred by many pixels; glass is built for a camera that glass can serve."""
 
-FEW_RAYS = 100_000
+FEW_RAYS = 30_000
 """For PSFs in full: a million takes 10 s."""
 
 GLASS = ThinLens(focal_length_mm=50.0, sensor_width_mm=36.0, f_number=5.0, focus_distance_m=4.0)
+
+QUICKLY = {"jobs": 1, "sparsifier": "quick", "judge": False}
+"""How databases are built here, whose figures nobody looks at."""
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="builds databases")
 
@@ -61,7 +64,7 @@ def centroid(image):
 @pytest.fixture(scope="module")
 def triangles(tmp_path_factory):
     path = tmp_path_factory.mktemp("databases") / "triangles.h5"
-    build_database("simplelens", path, samples=12, max_coc=12.0, jobs=1, blades=3, rotation=0.0)
+    build_database("simplelens", path, samples=12, max_coc=12.0, blades=3, rotation=0.0, **QUICKLY)
     with open_database(path) as database:
         yield database
 
@@ -74,7 +77,7 @@ def lens(tmp_path_factory):
     grid = PsfGrid.of(get_model("physicallens", 8.0, settings=model_settings("physicallens", options)), 12)
     frames = [spot_frame(32, 32, 5.0), spot_frame(32, 32, -5.0)]
     needed = set().union(*(needed_spreadlets(frame, CAMERA, grid) for frame in frames))
-    build_database("physicallens", path, samples=12, max_coc=8.0, jobs=1, only=needed, rays=100_000, **options)
+    build_database("physicallens", path, samples=12, max_coc=8.0, only=needed, rays=100_000, **options, **QUICKLY)
     with open_database(path) as database:
         yield database
 
@@ -82,7 +85,8 @@ def lens(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fog(tmp_path_factory):
     path = tmp_path_factory.mktemp("databases") / "fog.h5"
-    build_database("volume", path, samples=6, jobs=1, rays=60_000, width=SIZE, psf_radius=16.0, camera=CAMERA)
+    options = {"width": SIZE, "psf_radius": 16.0, "camera": CAMERA}
+    build_database("volume", path, samples=6, rays=60_000, **options, **QUICKLY)
     with open_database(path) as database:
         yield database
 

@@ -299,7 +299,7 @@ def test_without_an_effect_samples_lie_where_they_would_be_seen(off):
 
 @pytest.mark.parametrize("aperture", ["disc", pytest.param("gaussian", marks=pytest.mark.interpreted)])
 def test_tiles_are_what_every_pixel_gathers_from_every_sample(aperture):
-    given = random_buffer(np.random.default_rng(5), height=11, width=18)
+    given = random_buffer(np.random.default_rng(5), height=9, width=12)
     method = Slr(aperture=aperture, tile=8, actual_range=False)
     samples = Samples.from_buffer(given, CAMERA)
     partitioning = Partitioning.of_constant_energy()

@@ -405,7 +405,7 @@ def border_index(lab: Lab) -> float:
     "cells",
     "jump across borders of {}",
     ("CoC", "motion"),
-    given="a bright pixel a hair before and behind every border (every 40th in the tests) of two cells",
+    given="a bright pixel a hair before and behind every border (every 80th in the tests) of two cells",
     oracle="the two cells' PSFs traced in full: the jump, L1, may exceed theirs by that much",
     budget=0.1,
 )
@@ -414,7 +414,7 @@ def border_jump(lab: Lab, axis: str) -> float:
     number = ("CoC", "motion").index(axis)
     step = np.zeros(2)
     excess = 0.0
-    for place in itertools.islice(axis_borders(lab, number), 0, None, lab.size(40, 1)):
+    for place in itertools.islice(axis_borders(lab, number), 0, None, lab.size(80, 1)):
         step[number] = 1e-6 * place[number]
         half = math.ceil(place[0] + 0.5 * place[1]) + 7
         before, after = (spot_image(lab, np.array(place) + side * step, half) for side in (-1, 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from scipy.signal import oaconvolve
+from scipy import fft
 
 from spreadlets.api import reconstruct
 from spreadlets.psf.laplacian import laplacian, solve_dirichlet
@@ -202,7 +202,9 @@ def twin(lab: Lab, radiance: Array, coc: float, path: tuple[float, float]) -> Ar
     half = max(spreadlet.extent)
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     kernel[tuple(spreadlet.offset_rc.T.astype(np.int64) + half)] = spreadlet.value[:, 0]
-    source = oaconvolve(radiance[..., 0].astype(np.float64), kernel)
+    room = [size + 2 * half for size in radiance.shape[:2]]
+    spectra = [fft.rfftn(each, room) for each in (radiance[..., 0].astype(np.float64), kernel)]
+    source = fft.irfftn(spectra[0] * spectra[1], room)
     solved = source if spreadlet.direct else solve_dirichlet(source)
     return np.asarray(solved[half:-half, half:-half])
 

@@ -139,15 +139,21 @@ def test_a_killed_build_leaves_a_lock_that_holds_nobody_up(reference, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
-def end_this_process(unit):
-    os.kill(os.getpid(), signal.SIGKILL)
+class Deadly:
+    """What kills the process that is asked to compute it, before it has loaded all that a build needs."""
+
+    def __reduce__(self):
+        return signal.raise_signal, (signal.SIGKILL,)
+
+    def __call__(self, unit):
+        raise AssertionError("a worker was to compute this")
 
 
 def test_a_unit_that_kills_every_worker_is_one_error_and_loses_nothing(reference, tmp_path, monkeypatch):
     with pytest.raises(Stop):
         build(tmp_path / "a.h5", progress=stop_after(11))  # each of the units that are left costs three processes
     with monkeypatch.context() as patched:
-        patched.setattr("spreadlets.precompute.build.build.build_unit", end_this_process)
+        patched.setattr("spreadlets.precompute.build.build.build_unit", Deadly())
         with pytest.raises(BuildStoppedError, match="cell .*: 3 processes died on it.*same command goes on"):
             build(tmp_path / "a.h5", jobs=2)
     assert len(list((tmp_path / "a.h5.parts").glob("*.part"))) == 11

@@ -178,7 +178,8 @@ def test_shutter_curve_is_that_of_the_supersampled_drawing(curve, weight):
 def pose_psf(grid, cell, coordinates, angle, in_front):
     """Trace a PSF as the run time would draw it: a stored pose, turned by a symmetry of the lattice."""
     number, transpose, flip_row, flip_col = grid.nearest_pose(cell, angle, in_front)
-    psf = trace_psf(grid.model, coordinates, angle=grid.angles(cell)[number], side=grid.side(cell, int(number)))
+    side = grid.side(cell, int(number))
+    psf = trace_psf(grid.model, coordinates, angle=grid.angles(cell)[number], side=side, rays=100_000)
     psf = psf.swapaxes(0, 1) if transpose else psf
     return psf[:: -1 if flip_row else 1, :: -1 if flip_col else 1]
 

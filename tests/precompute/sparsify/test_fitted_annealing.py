@@ -29,8 +29,8 @@ def error_of(equations, index):
 def test_it_takes_the_moves_of_its_naive_twin(n_channels):
     # Of 160 points a hundredth is two.
     equations, near, index = start(n_channels)
-    expected, least = naive.anneal_fitted(equations, near, index, np.random.default_rng(4))
-    found = anneal_fitted(equations, near, index, np.random.default_rng(4))
+    expected, least = naive.anneal_fitted(equations, near, index, np.random.default_rng(4), n_steps=150)
+    found = anneal_fitted(equations, near, index, np.random.default_rng(4), n_steps=150)
     np.testing.assert_array_equal(found, expected)
     assert error_of(equations, found) == pytest.approx(least, rel=1e-4)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from naive import sparsify as naive
 from naive.psfs import capsule_psf
-from scipy.signal import fftconvolve
+from scipy import ndimage
 from skimage.metrics import structural_similarity
 
 from spreadlets.precompute.sparsify import _sparsify_kernels as _kernels
@@ -100,5 +100,5 @@ def test_large_problems_are_thinned_without_losing_the_scale(monkeypatch):
 @pytest.mark.parametrize("shape", [(7, 30), (64, 45)])
 def test_the_detail_of_an_image_is_its_convolution_with_the_filter(shape):
     image = np.random.default_rng(3).random(shape)
-    expected = fftconvolve(image, detail_filter(), mode="same")
-    np.testing.assert_array_equal(with_detail(image), expected)
+    expected = ndimage.convolve(image, detail_filter(), mode="constant")
+    np.testing.assert_allclose(with_detail(image), expected, rtol=0, atol=1e-12 * expected.max())

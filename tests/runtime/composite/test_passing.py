@@ -62,7 +62,7 @@ def test_of_a_turning_blade_as_much_is_passed_as_it_leaves():
 
     def passed_by(behind):
         layers = behind.astype(np.int32)
-        members = [Membership(np.zeros_like(each), each, still[..., 0]) for each in layers]
+        members = [Membership(np.zeros_like(each), each, still[..., 0].copy()) for each in layers]
         passes = [(each, still, still, time) for each, time in zip(members, times, strict=True)]
         return passing_samples(passes, [path] * count, 0, moments, 1.0)
 

@@ -61,7 +61,7 @@ def pinhole(camera):
     return sp.Frame(colour, cast(camera, 0.0)[1])
 
 
-def truth(camera, n_rays=192):
+def truth(camera, n_rays=96):
     """Return the mean of many moments, each through its own place on the lens and in the pixel."""
     steps = np.arange(n_rays)
     # A lattice fills the five dimensions evenly (Roberts' generalised golden ratio).

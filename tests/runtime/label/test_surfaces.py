@@ -397,7 +397,7 @@ def test_where_there_is_nothing_there_is_no_strand():
     layer, coverage = drawn(lambda x, y: x + 0.3 * y < 12.0, alpha=True)
     place = placed(layer)
     place[coverage == 0.0] = np.inf
-    thin = np.ones(place.shape, np.bool_)
+    thin = np.ones(place.shape, np.int8)
     _gap_kernels.find_thin(0, len(place), place, surfaces.LEAST_GAP, 1, thin)
     assert not thin[np.isinf(place)].any()
 
@@ -517,11 +517,12 @@ def test_what_a_pixel_does_not_have_is_not_looked_at():
     place = np.full((16, 9), 6.0, np.float32)
     place[:, 4] = 2.0
     radiance = np.full((16, 9, 4), 0.5, np.float32)
-    rows, cols = (each.ravel() for each in np.indices(place.shape))
+    rows, cols = (each.ravel() for each in np.indices(place.shape, np.int32))
     given = []
     for unknown in (0.0, np.nan):
         shares = np.tile(np.float32([0.7, 0.3, 0.0]), (place.size, 1))
-        sources = np.stack([np.tile(rows, (3, 1)), [cols, np.where(cols == 4, 3, 4), cols]], axis=-1)
+        beside = np.where(cols == 4, 3, 4).astype(np.int32)
+        sources = np.stack([np.tile(rows, (3, 1)), [cols, beside, cols]], axis=-1)
         colours, told = np.full((place.size, 3, 4), unknown, np.float32), np.zeros(place.size, np.float32)
         colours[:, :2] = np.random.default_rng(0).random((place.size, 2, 4))
         first = shares[:, 0].reshape(place.shape).copy(), radiance.copy()

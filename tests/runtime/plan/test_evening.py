@@ -43,7 +43,6 @@ def test_random_samples_are_evened(n_samples, left):
     )  # measured 0.65 and 0.54, evened once 0.71 and 0.58
 
 
-@pytest.mark.interpreted
 def test_samples_that_lie_evenly_keep_their_weight():
     (pixels,) = scattered(np.random.default_rng(0))
     still = pixels._replace(labels=pixels.labels._replace(shift=np.zeros((SIZE, SIZE, 2), np.float32)))

@@ -195,7 +195,8 @@ def test_a_highlight_has_the_coordinate_that_the_figures_of_a_build_are_of(small
     n, model = 200, small_combined.grid.model
     radius, length, angle = rng.uniform(0.2, 30.0, n), rng.uniform(0.0, 40.0, n), rng.uniform(-3.1, 3.1, n)
     side = np.where(rng.random(n) < 0.5, -1, 1)
-    path = (length * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32)[None]
+    path = (length * np.stack([np.cos(angle), np.sin(angle)])).T.astype(np.float32, "C")[None]
+    path.setflags(write=False)  # as those of frames
     radii, lengths = (side * radius).astype(np.float32)[None], length.astype(np.float32)[None]
     labels = _highlight_kernels.CodedLabels(radii, lengths, path)
     light = np.full((1, n), np.inf, np.float32)

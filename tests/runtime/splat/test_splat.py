@@ -104,7 +104,7 @@ def test_direct_points_that_are_neighbours_are_drawn_like_single_ones(n_channels
     rng = np.random.default_rng(8)
     _, source = random_table(rng, n_channels), random_pass(rng, n_variants=2)
     grid = np.argwhere(rng.random((7, 9)) < 0.8).astype(np.int32) - [3, 4]
-    offset = np.concatenate([grid, grid[::2]]).astype(np.int32)
+    offset = np.concatenate([grid, grid[::2]]).astype(np.int32, "C")
     value = rng.random((len(offset), n_channels)).astype(np.float32)
     table = PointTable(offset, value, np.array([0, len(grid), len(offset)]), np.full(2, DIRECT))
     canvas, image = drawn(table, [source], DIRECT)

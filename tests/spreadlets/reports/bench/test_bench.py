@@ -132,6 +132,12 @@ def counted(monkeypatch):
     return runs
 
 
+@pytest.fixture
+def no_plots(monkeypatch):
+    """For runs whose plots nobody looks at: they take longer than all else."""
+    monkeypatch.setattr(bench, "save_plots", lambda folder, rows: [])
+
+
 def test_all_contenders_run_in_turns_and_everything_is_written(folder, monkeypatch, tmp_path):
     runs = counted(monkeypatch)
     out = tmp_path / "out"
@@ -155,7 +161,7 @@ def test_all_contenders_run_in_turns_and_everything_is_written(folder, monkeypat
     assert any("fastest first" in line for line in report["summary"])
 
 
-def test_an_interrupted_run_goes_on_and_a_fresh_one_does_not(folder, monkeypatch, tmp_path):
+def test_an_interrupted_run_goes_on_and_a_fresh_one_does_not(folder, monkeypatch, no_plots, tmp_path):
     out = tmp_path / "out"
     counted(monkeypatch)
     run_bench(subjects_in(folder), out)
@@ -177,7 +183,7 @@ def test_figures_of_another_source_are_dropped(tmp_path):
     assert not Notebook(tmp_path, {"source": "b"}, fresh=False).rows
 
 
-def test_what_takes_long_is_timed_less_often(folder, monkeypatch, tmp_path):
+def test_what_takes_long_is_timed_less_often(folder, monkeypatch, no_plots, tmp_path):
     runs = counted(monkeypatch)
     monkeypatch.setattr(bench, "MOST_SECONDS", 0.0)
     run_bench(subjects_in(folder), tmp_path / "out")
@@ -229,7 +235,7 @@ def test_a_frame_of_ones_own_needs_camera_and_reference(folder):
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_the_command_prints_a_summary(folder, monkeypatch, tmp_path, own):
+def test_the_command_prints_a_summary(folder, monkeypatch, no_plots, tmp_path, own):
     counted(monkeypatch)
     given = ["--frames", str(folder)]
     if own:
