@@ -8,7 +8,7 @@ from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._lamp_kernels import BRIGHTEST, dimmed, evened
 from spreadlets.runtime._vector_kernels import add, load, multiply, store
 from spreadlets.runtime.plan._alike_kernels import ALPHA, BLOCK, COLOUR, LIKE, MOSTLY_SEEN
-from spreadlets.runtime.plan._bridge_kernels import bridge
+from spreadlets.runtime.plan._bridge_kernels import bridge, continue_around
 from spreadlets.runtime.plan._layer_kernels import share_in
 
 EXACT = 16.0
@@ -489,9 +489,9 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
     cells : tuple of ndarrays of shapes (h, w), (h, w, n) and (h, w), float32, and (h, w), uint8
         What hides them, see `enter_layer`; `add_features`; `find_gaps`; and
         `runtime.plan._bridge_kernels.mark_comparable`.
-    looked_up : tuple of two ints and three ndarrays
-        Row and column of the first cell, as for `row_distances`; and the blocks' places, how unlike these are, and how
-        bright what was seen around is.
+    looked_up : tuple of two ints and four ndarrays
+        Row and column of the first cell, as for `row_distances`; and the blocks' places, how unlike these are, how
+        bright what was seen around is, and up to which width of a gap, cells, what is seen beside it goes on.
     level, corner
         As for `enter_layer`.
     number : int
@@ -502,7 +502,8 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
         Bits of the layers of which all that is hidden in a pixel is known; set.
     """
     hides, features, gap, comparable = cells
-    first, places, unlike, brightest = looked_up
+    first, places, unlike, brightest, widest = looked_up
+    above, before = first[0] % BLOCK, first[1] % BLOCK
     shown = hides, features, comparable
     value, bit = np.empty(features.shape[2]), np.uint64(1) << np.uint64(number)
     for i in range(begin, end):
@@ -512,9 +513,12 @@ def find_behind(begin, end, nearer, cells, looked_up, level, corner, number, fou
                 continue
             # Copy from what the blocks around were found to be like.
             total = _copy(hides, features, first, places, unlike, brightest, i, j, value)
-            # Where nothing is alike, continue what is seen beside a narrow gap across it.
-            if total == 0.0 and bridge(shown, i, j, gap[i, j], value):
-                total = 1.0
+            # Where nothing is alike, continue what is seen beside a narrow gap across it, or what lies around into it.
+            if total == 0.0:
+                goes_on = bridge(shown, i, j, gap[i, j], value)
+                if not goes_on and 0.0 < gap[i, j] <= widest[(i + above) // BLOCK, (j + before) // BLOCK]:
+                    goes_on = continue_around(shown, i, j, gap[i, j], value)
+                total = 1.0 if goes_on else 0.0
             if total == 0.0:
                 continue
             # Give it to the pixels of the cell of which something is hidden.

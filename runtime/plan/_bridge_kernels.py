@@ -1,4 +1,4 @@
-"""Compiled kernels that continue what is seen on both sides of a narrow gap across it, along its own lines."""
+"""Compiled kernels that continue what is seen beside a gap into it: along its own lines, or from all sides."""
 
 import math
 
@@ -21,6 +21,10 @@ LEAST_COVERED = 0.9
 """Share of a cell that the layer must cover to be compared: what ends there, as leaves do, goes on nowhere."""
 EVEN = 0.02
 """Squared relative difference below which all that lies around a cell is of one colour, which fills the gap anyway."""
+NEIGHBOURS = ((-1, 0), (0, -1), (0, 1), (1, 0))
+"""Rows and columns to the cells beside one."""
+EVERY = 8
+"""Every so many-eth direction is looked in for what lies around a hidden cell: what is nearest counts most."""
 
 
 def _steps_away():
@@ -61,6 +65,37 @@ def mark_comparable(begin, end, hides, features, corner, wanted, comparable):
             known = seen >= MOSTLY_SEEN and wanted[(row + above) // BLOCK, (col + before) // BLOCK]
             covers = known and features[row, col, ALPHA] >= LEAST_COVERED * seen
             comparable[row, col] = 2 if covers else (1 if known else 0)
+
+
+@kernel
+def count_changes(begin, end, comparable, corner, counts):
+    """Count in blocks of cells what tells how large the pieces are that a layer covers.
+
+    Parameters
+    ----------
+    comparable, corner
+        See `mark_comparable`.
+    counts : ndarray of shape (4, h / BLOCK, w / BLOCK), float32
+        Filled: the known cells; those that the layer covers; pairs of known cells that lie beside each other, each
+        counted from both of its cells; and those pairs of which it covers one.
+    """
+    height, width = comparable.shape
+    for block in range(begin, end):
+        counts[:, block] = np.float32(0.0)
+        top = block * BLOCK - corner[0] % BLOCK
+        for row in range(max(top, 0), min(top + BLOCK, height)):
+            for col in range(width):
+                own = comparable[row, col]
+                if not own:
+                    continue
+                across = (col + corner[1] % BLOCK) // BLOCK
+                counts[0, block, across] += np.float32(1.0)
+                counts[1, block, across] += np.float32(own == 2)
+                for down, right in NEIGHBOURS:
+                    i, j = row + down, col + right
+                    if 0 <= i < height and 0 <= j < width and comparable[i, j]:
+                        counts[2, block, across] += np.float32(1.0)
+                        counts[3, block, across] += np.float32(comparable[i, j] != own)
 
 
 @helper
@@ -138,11 +173,23 @@ def _is_even(hides, features, comparable, row, col, first):
 
 
 @helper
+def _ends_covered(comparable, row, col, turn, steps):
+    """Return whether enough of the ends of a line, and of those right beside it, may be compared for `_cost`."""
+    height, width = comparable.shape
+    missing = 0
+    for side in range(-1, 2):
+        i, j = _away(row, col, turn, steps, side)
+        if not (0 <= i < height and 0 <= j < width) or comparable[i, j] != 2:
+            missing += 1
+    return missing <= 2 * BESIDE + 1 - LEAST_COMPARED
+
+
+@helper
 def _try(cells, row, col, turn, first, least):
     """Return the cost of the line through a hidden cell in a direction, and its steps forth and back."""
     hides, features, comparable = cells
     forth = _steps_to_seen(comparable, row, col, turn, 1, first)
-    if forth == 0:
+    if forth == 0 or not _ends_covered(comparable, row, col, turn, forth):
         return math.inf, 0, 0
     back = _steps_to_seen(comparable, row, col, turn, -1, first)
     if back == 0:
@@ -195,4 +242,33 @@ def bridge(cells, row, col, gap, value):
     one, other = share / (1.0 - hides[i, j]), (1.0 - share) / (1.0 - hides[k, m])
     for c in range(len(value)):
         value[c] = one * features[i, j, c] + other * features[k, m, c]
+    return True
+
+
+@helper
+def continue_around(cells, row, col, gap, value):
+    """Fill ``value`` (n) with the mean of what is seen around a hidden cell; return whether anything is.
+
+    Of each direction the first cell counts that was seen, by the inverse square of its distance. For the arguments see
+    `bridge`.
+    """
+    hides, features, comparable = cells
+    first = max(int(gap - 0.7), 1)
+    # Sum up what was seen first in each direction.
+    value[:] = 0.0
+    total = 0.0
+    for turn in range(0, N_DIRECTIONS, EVERY):
+        for side in (-1, 1):
+            steps = _steps_to_seen(comparable, row, col, turn, side, first)
+            if steps == 0:
+                continue
+            i, j = _away(row, col, turn, side * steps)
+            weight = 1.0 / steps**2
+            total += weight
+            for c in range(len(value)):
+                value[c] += weight / (1.0 - hides[i, j]) * features[i, j, c]
+    if total == 0.0:
+        return False
+    for c in range(len(value)):
+        value[c] /= total
     return True

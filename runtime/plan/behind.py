@@ -2,8 +2,8 @@
 
 A blur shows what a sharp image hides: beside a near thing out of focus, and through it. Layer by layer, what nearer
 ones hide of it is taken from neighbouring frames of the sequence, if there are any, and else guessed: strands go on,
-where what was seen around looks like some other place, what lies there is copied; and lines go on across narrow gaps.
-What is not found so is left to compositing.
+where what was seen around looks like some other place, what lies there is copied; lines go on across narrow gaps; and
+behind the edge of a nearer thing, what lies beside it goes on. What is not found so is left to compositing.
 """
 
 from __future__ import annotations
@@ -50,6 +50,13 @@ COMPARED = 5
 """Features that are compared: colour with alpha, and how far it blurs."""
 COARSEST = 1
 """Cells are no larger than 2 to this power, px: of larger blocks too much is alike by chance."""
+
+GOING_ON = 0.3
+"""Width of a gap, in the correlation length of what a layer covers, up to which what is seen beside it goes on in it.
+
+At that distance the correlation is .74. From .5 on, what lies beside is as good a guess as the mean around, that
+compositing takes; but a wrong guess is a blot where the mean is even.
+"""
 
 
 class Behind(NamedTuple):
@@ -148,7 +155,8 @@ def find_behind(
             brightest = judged(here, places if not index else places._replace(unlike=places.unlike.copy()))
             comparable = buffer(gap.shape, np.uint8)
             for_bands(_bridge_kernels.mark_comparable, len(gap), cells[0], features, corner, wanted, comparable)
-            looked_up = (cells[0], features, gap, comparable), (corner, *places, brightest), level, seen.corner
+            by_block = corner, *places, brightest, _widest_gaps(comparable, corner)
+            looked_up = (cells[0], features, gap, comparable), by_block, level, seen.corner
             for_bands(_behind_kernels.find_behind, len(gap), nearer, *looked_up, number, hidden[index], known[index])
     return [
         Behind(_listed(frame[-1][0], first, *found[1:], strands), each)
@@ -275,6 +283,17 @@ def _places(
     wanted = largest_around(holding, BLOCKS_AROUND)
     features = _features(seen, surfaces, number, level + 1, wanted)
     return find_alike(Cells(coarse, features, inner), holding).handed_down(chosen, corner)
+
+
+def _widest_gaps(comparable: npt.NDArray[np.uint8], corner: tuple[int, int]) -> Image:
+    """Return up to which width, cells, a layer goes on in gaps, in blocks of cells; see `mark_comparable`."""
+    counts = np.empty((4, *tiling(comparable.shape, BLOCK, corner)), np.float32)
+    for_bands(_bridge_kernels.count_changes, counts.shape[1], comparable, corner, counts)
+    known, covered, pairs, changes = (box_blurred(each, TILES_AROUND) for each in counts)
+    share = covered / np.maximum(known, np.float32(TINY))
+    # Where pieces begin and end at random, twice the product of both shares over the changes is the correlation length.
+    length = 2.0 * share * (1.0 - share) * pairs / np.maximum(changes, np.float32(TINY))
+    return (GOING_ON * length).astype(np.float32, copy=False)
 
 
 def _listed(frame: Layer, first: Layer, share: Image, features: Image, strands: Strands) -> Surface | None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.plan import _behind_kernels
+from spreadlets.runtime.plan import _behind_kernels, _bridge_kernels
+from spreadlets.runtime.plan import behind as behind_module
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -92,7 +93,7 @@ def test_what_is_copied_is_no_brighter_than_all_that_was_seen_around():
     places, unlike = np.tile(np.int64((0, 8)), (1, 3, 1)), np.array([[0.01, -1.0, -1.0]])
     near, far, looked_up = np.float32(hides == 0), np.zeros_like(hides), (8, 24)
     found = np.zeros(looked_up, np.int32), np.zeros(looked_up, np.float32), np.zeros((*looked_up, 4), np.float32)
-    known, given = np.zeros(looked_up, np.uint64), ((0, 0), places, unlike, np.full((1, 3), 0.5))
+    known, given = np.zeros(looked_up, np.uint64), ((0, 0), places, unlike, np.full((1, 3), 0.5), far[:1, :3])
     _behind_kernels.find_behind(
         0, 8, near, (hides, features, far, np.ones(hides.shape, np.uint8)), given, 0, (0, 0), 1, found, known
     )
@@ -184,6 +185,53 @@ def test_noise_is_not_copied():
     noise = np.random.default_rng(0).random((SIZE, SIZE, 3))
     divided = divide_frames([post_before(noise)], CAMERA, Effects(defocus=True, motion=True, swept=True))
     assert divided.n_hidden == 0, "no place looks like another"
+
+
+def noise_before_a_wall(covers):
+    """Return a frame of noise of which some pixels lie farther off, with a post before all."""
+    noise = 0.2 + np.random.default_rng(0).random((SIZE, SIZE, 3))
+    depth = np.where(covers, depth_of(0.0), depth_of(8.0))
+    noise[:, POST], depth[:, POST] = (0.5, 0.1, 0.1), depth_of(-6.0)
+    return Frame(noise, depth).layers[0]
+
+
+def test_a_large_thing_goes_on_as_far_as_it_is_seen_beside_a_post():
+    """Nowhere else looks alike, and no lines go on: but beside the post all is covered above, and nothing below."""
+    rows = np.indices((SIZE, SIZE))[0]
+    layer = noise_before_a_wall(rows < SIZE // 2)
+    colours, share = hidden(layer)
+    beside = slice(POST.start, POST.start + 2), slice(POST.stop - 2, POST.stop)
+    above, below = slice(8, SIZE // 2 - 4), slice(SIZE // 2 + 4, SIZE - 8)
+    assert all(share[above, each].min() > 0.9 and share[below, each].max() < 0.1 for each in beside)
+    # What is nearest counts most: three pixels right beside the post.
+    seen = layer.radiance[:, POST.start - 1, :3]
+    nearest = np.mean([seen[above.start + step : above.stop + step] for step in (-1, 0, 1)], axis=0)
+    found = colours[above, POST.start, :3]
+    assert np.corrcoef(found.ravel(), nearest.ravel())[0, 1] > 0.8
+
+
+def test_what_is_finer_than_a_gap_does_not_go_on_in_it(monkeypatch):
+    """One piece says nothing of the next: to guess would make blots. Some are strands, which go on as such."""
+    covers = (np.random.default_rng(1).random((SIZE // 2, SIZE // 2)) < 0.5).repeat(2, axis=0).repeat(2, axis=1)
+    colours, share = hidden(noise_before_a_wall(covers))
+    monkeypatch.setattr(behind_module, "GOING_ON", 0.0)
+    without = hidden(noise_before_a_wall(covers))
+    assert np.array_equal(colours, without[0]) and np.array_equal(share, without[1])
+
+
+@pytest.mark.interpreted
+def test_changes_are_counted_between_neighbours_that_are_known():
+    comparable = np.random.default_rng(2).integers(0, 3, (19, 13)).astype(np.uint8)
+    corner = (3, -2)
+    counts, expected = np.empty((4, 3, 3), np.float32), np.zeros((4, 3, 3))
+    _bridge_kernels.count_changes(0, 3, comparable, corner, counts)
+    for row, col in np.argwhere(comparable):
+        block = (row + 3) // 8, (col + 6) // 8
+        beside = [(row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)]
+        known = [comparable[at] for at in beside if min(at) >= 0 and at[0] < 19 and at[1] < 13 and comparable[at]]
+        own = comparable[row, col]
+        expected[(slice(None), *block)] += 1, own == 2, len(known), sum(each != own for each in known)
+    assert np.array_equal(counts, expected)
 
 
 def test_other_frames_come_before_guesses():
