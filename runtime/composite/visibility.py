@@ -20,7 +20,7 @@ from spreadlets.runtime.plan.plan import Plan
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.samples import SampleBuffer
 
-LEAST_SAMPLES = 4.0, 4.0
+LEAST_SAMPLES = 5.0, 4.0
 """Samples that must have met a layer, or passed it, for a pixel, of whatever level, to stand for itself."""
 
 
