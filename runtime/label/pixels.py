@@ -65,11 +65,8 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
         As for `frame_pixels`.
     effects : Effects
     """
-    middle = camera.at(camera.shutter_centre)
     is_blurred = effects.defocus or (effects.motion and layer.has_motion)
-    # Surfaces are told apart by how they are blurred in the end.
-    lens = replace(middle, f_number=middle.f_number / effects.controls.strength)
-    surfaces = list((split if is_blurred else undivided)(layer, lens))
+    surfaces = list((split if is_blurred else undivided)(layer, strengthened(camera, effects)))
     found = [labelled(each, layer.shape, camera, effects) for each in surfaces]
     area = stretch(layer, camera) if effects.stretches and effects.motion and layer.has_motion else None
     if area is None:
@@ -78,6 +75,12 @@ def frame_surfaces(layer: Layer, camera: ThinLens, effects: Effects, split: Spli
         (own, pixels._replace(radiance=pixels.radiance * each.taken(area)[..., None]))
         for each, (own, pixels) in zip(surfaces, found, strict=True)
     ]
+
+
+def strengthened(camera: ThinLens, effects: Effects) -> ThinLens:
+    """Return the lens amid the shutter, as wide as strengths make it, by whose blur surfaces are told apart."""
+    middle = camera.at(camera.shutter_centre)
+    return replace(middle, f_number=middle.f_number / effects.controls.strength)
 
 
 def labelled(surface: Surface, shape: tuple[int, int], camera: ThinLens, effects: Effects) -> Labelled:

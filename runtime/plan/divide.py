@@ -11,7 +11,13 @@ import numpy.typing as npt
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import frame_surfaces, hidden_pixels, labelled, surface_pixels
+from spreadlets.runtime.label.pixels import (
+    frame_surfaces,
+    hidden_pixels,
+    labelled,
+    strengthened,
+    surface_pixels,
+)
 from spreadlets.runtime.label.reprojection import reproject
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, Surface, split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, MOST_LAYERS
@@ -85,7 +91,7 @@ def divide_frames(
     # Find what nearer ones hide of each.
     elsewhere = None
     if neighbours:
-        farther, there = reproject(layers[0], neighbours, camera)
+        farther, there = reproject(layers[0], neighbours, strengthened(camera, effects))
         elsewhere = labelled(Surface(farther, there), farther.shape, camera, effects)
     behind = find_behind(surfaces, layering, elsewhere, further)
     if behind[0].surface is None:

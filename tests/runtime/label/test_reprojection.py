@@ -1,9 +1,14 @@
 """What neighbouring frames show of what is hidden: a disc that moves before a plane that pans, drawn for any time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from spreadlets.runtime.controls import Controls
+from spreadlets.runtime.label.moving import Effects
 from spreadlets.runtime.label.reprojection import reproject
+from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
 
@@ -65,3 +70,14 @@ def test_curved_paths_are_taken_along():
     layer, _ = drawn(0, curved=True)
     found, seen = reproject(layer, [drawn(1, curved=True)[0]], CAMERA)
     assert np.allclose(found.motion_prev[seen > 0], (PAN, 0)) and np.allclose(found.motion_next[seen > 0], (PAN, 0))
+
+
+def test_what_a_neighbour_saw_is_used_where_strengths_make_a_small_blur_large():
+    layer, other = drawn(0)[0], drawn(1)[0]
+    still = replace(CAMERA, shutter=(-1e-3, 1e-3))
+    narrow, strong = replace(still, f_number=64 * still.f_number), Controls(near_strength=64.0)
+    wide, same = (
+        divide_frames([layer], lens, Effects(True, True, True, controls), neighbours=[other]).known
+        for lens, controls in ((still, Controls()), (narrow, strong))
+    )
+    assert wide.any() and np.array_equal(same, wide)
