@@ -563,7 +563,7 @@ def test_samples_of_a_texture_return_to_where_they_would_lie_without_lens_and_mo
 
 @pytest.mark.parametrize("coc", [0.0, 1.5, 3.0, 4.0])
 def test_a_narrow_psf_of_a_sample_is_placed_to_a_fraction_of_a_pixel(small_combined, coc):
-    shape = SIZE, SIZE, 4
+    shape = SIZE, SIZE, 5  # as many as stand for a pixel
     colour, (dx, dy) = np.zeros((*shape, 3)), (0.3, -0.2)
     colour[30, 33] = 1.0
     still, centre, offset = np.zeros((*shape, 2)), np.zeros((*shape, 2)), np.broadcast_to((dx, dy), (*shape, 2))
