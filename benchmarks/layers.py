@@ -149,7 +149,7 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--rounds", type=int, default=7)
     given = arguments.parse_args()
-    found = scenes(given.frames, "_pinhole.exr", "_ref_dofmb.exr")
+    found = [each for each in scenes(given.frames, "_pinhole.exr", "_ref_dofmb.exr") if each.name in GOAL_SINGLE]
     report, curves = Report(), {}
     with sp.open_database("combined") as database:
         report.row("synthesis, SSIM", "ours", "goal", "dense", "loss", "goal", "nodes")
