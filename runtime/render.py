@@ -361,12 +361,8 @@ def reconstruct(
     with clock.step("composite"):
         if parts:
             shown = plan.highlights.without_lights(pixel_sets)
-            places = _places(samples, visibility)
-            given = zip(shown, places, visibility.paths, np.moveaxis(samples.offset, 2, 0), strict=True)
-            placed = [
-                PlacedSamples(each.radiance, place, each.labels.coc, path, np.ascontiguousarray(offset))
-                for each, place, path, offset in given
-            ]
+            given = zip(shown, _places(samples, visibility), visibility.paths, visibility.offsets, strict=True)
+            placed = [PlacedSamples(each.radiance, place, each.labels.coc, *seen) for each, place, *seen in given]
             image = calibrated(parts, placed)
         else:
             plan.left_out.append("calibration")

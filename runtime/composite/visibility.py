@@ -145,6 +145,11 @@ class PassingSamples:
         Of what is drawn.
     defocus : bool
         Whether that is blurred.
+
+    Attributes
+    ----------
+    paths, offsets : list of ndarray of shape (H, W, 2), float32
+        Of one sample of each pixel: how far it moves while the shutter is open, and where in its pixel it was seen, px.
     """
 
     kind = COUNT
@@ -171,11 +176,11 @@ class PassingSamples:
         self.samples = samples
         # Where each was seen, and its places on the lens and in time, laid out once for all layers.
         since_centre = samples.time - np.float32(camera.shutter_centre)
-        offset, lens, time = (
+        self.offsets, lens, time = (
             [np.ascontiguousarray(each[:, :, i]) for i in range(samples.n_samples)]
             for each in (samples.offset, samples.lens_uv, since_centre)
         )
-        self._passes = list(zip(self.members, offset, lens, time, strict=True))
+        self._passes = list(zip(self.members, self.offsets, lens, time, strict=True))
         self.paths = sample_paths(samples, pixel_sets, camera)
         self._duration = camera.shutter_duration
         self.moments = self._moments(pixel_sets, plan.n_layers)

@@ -13,11 +13,10 @@ UNSTEERED = np.float32(np.inf)
 @kernel
 def find_in_focus(begin, end, place, coc, number, reach, found):
     """Mark the rows with a sample of a layer that is in focus, at least in part, see `add_sharp`; ``found`` is (H,)."""
+    one, farthest = np.float32(1.0), np.float32(reach) + np.float32(1.0)
     for row in range(begin, end):
         for col in range(place.shape[1]):
-            if abs(place[row, col] - np.float32(number)) < np.float32(1.0) and abs(coc[row, col]) < np.float32(
-                reach
-            ) + np.float32(1.0):
+            if abs(place[row, col] - np.float32(number)) < one and abs(coc[row, col]) < farthest:
                 found[row] = True
                 break
 
@@ -83,11 +82,13 @@ def add_sharp(begin, end, sample, layer, products, number, reach, least_share, l
                 continue
             xx, xy, yy = products[0, row, col], products[1, row, col], products[2, row, col]
             beyond += np.float32(0.5) * _across(xx, xy, yy, path[row, col, 0], path[row, col, 1])
-            share *= min(max(one - beyond, zero), one)
+            if beyond >= one:
+                continue
+            share *= min(one - beyond, one)
             # Compare it with the layer where it was seen.
             alpha, dx, dy = layer[row, col, 3], offset[row, col, 0], offset[row, col, 1]
             there = alpha + _beside(layer, row, col, dx, dy, 3)
-            if share <= zero or min(alpha, there) < np.float32(least_share):
+            if min(alpha, there) < np.float32(least_share):
                 continue
             count[row, col] += share
             for c in range(3):
@@ -226,6 +227,35 @@ def _next_along(directions, y, x, along_x, along_y, straight):
     return (to_x, to_y) if turned > zero else (-to_x, -to_y)
 
 
+@helper
+def _add_between(lacking, count, y, x, is_level, taper, total):
+    """Add what is lacking at a place (y, x) on an edge to a total (C,); return its weight, and its weighed square.
+
+    Of the two pixels that the edge runs between there, each counts as far as it is near.
+    """
+    height, width, n_channels = lacking.shape
+    zero, one = np.float32(0.0), np.float32(1.0)
+    samples, squares = zero, zero
+    between = y if is_level else x
+    before = int(np.floor(between))
+    part = between - np.float32(before)
+    for k in range(2):
+        row = before + k if is_level else int(np.rint(y))
+        col = int(np.rint(x)) if is_level else before + k
+        weight = taper * (part if k else one - part)
+        if weight <= zero or row < 0 or col < 0 or row >= height or col >= width:
+            continue
+        # Weigh it by the samples in the pixel.
+        weight *= count[row, col]
+        square = zero
+        for c in range(n_channels):
+            total[c] += weight * lacking[row, col, c]
+            square += lacking[row, col, c] ** 2
+        samples += weight
+        squares += weight * weight * square
+    return samples, squares
+
+
 @kernel
 def steered_means(begin, end, lacking, count, directions, lengths, straight, mean, variance):
     """Average what a layer lacks along its edges, which are followed as far as they do not turn sharply.
@@ -246,7 +276,7 @@ def steered_means(begin, end, lacking, count, directions, lengths, straight, mea
         Filled with that of the mean, summed over the channels, as the spread of what is averaged tells; `UNSTEERED`
         where there is no edge.
     """
-    height, width, n_channels = lacking.shape
+    width, n_channels = lacking.shape[1:]
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(begin, end):
         for col in range(width):
@@ -264,24 +294,10 @@ def steered_means(begin, end, lacking, count, directions, lengths, straight, mea
                 y, x, gone = np.float32(row), np.float32(col), zero
                 while gone < length and (along_x != zero or along_y != zero):
                     taper = (one - (gone / length) ** 2) ** 2 if gone > zero or side == 0 else zero
-                    # Of the two pixels that it runs between, each counts as far as it is near.
-                    is_level = abs(along_x) >= abs(along_y)
-                    between = y if is_level else x
-                    before = int(np.floor(between))
-                    part = between - np.float32(before)
-                    for k in range(2):
-                        r = before + k if is_level else int(np.rint(y))
-                        c = int(np.rint(x)) if is_level else before + k
-                        weight = taper * (part if k else one - part)
-                        if weight <= zero or r < 0 or c < 0 or r >= height or c >= width:
-                            continue
-                        weight *= count[r, c]
-                        square = zero
-                        for channel in range(n_channels):
-                            mean[row, col, channel] += weight * lacking[r, c, channel]
-                            square += lacking[r, c, channel] ** 2
-                        samples += weight
-                        squares += weight * weight * square
+                    weight, square = _add_between(
+                        lacking, count, y, x, abs(along_x) >= abs(along_y), taper, mean[row, col]
+                    )
+                    samples, squares = samples + weight, squares + square
                     stride = one / max(abs(along_x), abs(along_y))
                     y, x, gone = y + stride * along_y, x + stride * along_x, gone + stride
                     along_x, along_y = _next_along(directions, y, x, along_x, along_y, straight)

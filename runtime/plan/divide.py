@@ -11,13 +11,7 @@ import numpy.typing as npt
 from spreadlets.parallel import for_bands
 from spreadlets.runtime.label.lists import Pixels
 from spreadlets.runtime.label.moving import Effects
-from spreadlets.runtime.label.pixels import (
-    frame_surfaces,
-    hidden_pixels,
-    labelled,
-    strengthened,
-    surface_pixels,
-)
+from spreadlets.runtime.label.pixels import frame_surfaces, hidden_pixels, labelled, strengthened, surface_pixels
 from spreadlets.runtime.label.reprojection import reproject
 from spreadlets.runtime.label.surfaces import SharedSurfaces, Split, Surface, split_surfaces
 from spreadlets.runtime.options import FRAME_SOFTNESS, MOST_LAYERS

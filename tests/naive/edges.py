@@ -13,7 +13,7 @@ def direction(products, row, col):
 
 
 def followed(products, is_edge, row, col):
-    """Yield the places (y, x) along the edge through a pixel, and how far away along it they lie."""
+    """Yield the places (x, y) along the edge through a pixel, whether it is level there, and how much they count."""
     height, width = is_edge.shape
     first, agree = direction(products, row, col)
     length = FOLLOWED[1] + agree * (FOLLOWED[0] - FOLLOWED[1])
