@@ -24,8 +24,8 @@ from spreadlets.runtime.composite.layers import CoverPart, Moments
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.tiles import largest_around, tiling
 
-POINTS = 64
-"""Points of lens and shutter that layers are looked at through."""
+POINTS = 256
+"""Points of lens and shutter that layers are looked at through: with 64, leaves and coins lose .001 of SSIM."""
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 STEP_IN_TIME = 7
 """From point to point, the time goes on by so many of the equal steps that half of the shutter's is divided into."""

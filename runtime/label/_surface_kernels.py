@@ -31,8 +31,12 @@ TRUST_DEPTH = 0.02
 """Deviation of a coverage that filtered depth tells."""
 LEAST_NOISE, COLOUR_NOISE = 0.01, 0.04
 """Deviation of a surface's colour, beside that of its pixels: at least so much, and so much of itself."""
-LOG_LAMP_RATIO = math.log(4.0)
-"""Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else."""
+LOG_LAMP_RATIO = math.log(2.0)
+"""Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else:
+with 4 in place of 2, thin bars take the sky's light for their own."""
+OWN_WEIGHT = 0.1
+"""How much a mixed pixel itself counts among those that tell the colours of its surfaces: it shows the others, too, and
+would explain itself where little lies around it."""
 GUIDE_TRUST = 0.05
 """Deviation of a share that colours have told."""
 STRAIGHT = 0.9
@@ -58,6 +62,7 @@ COLOUR_WEIGHT = 1.0 / (
     1.0 + 0.25 * np.add.outer(*2 * [np.arange(-COLOUR_REACH, COLOUR_REACH + 1, dtype=np.float64) ** 2])
 )
 """The same for the colours of surfaces."""
+COLOUR_WEIGHT[COLOUR_REACH, COLOUR_REACH] *= OWN_WEIGHT
 
 
 @helper

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import DoubleArray, Image
 from spreadlets.compiled import helper, kernel
 from spreadlets.runtime._lamp_kernels import evened
 from spreadlets.runtime._vector_kernels import load, multiply, store
@@ -23,6 +23,23 @@ class Weighted(NamedTuple):
     radiance: Image
     weight: Image
     label: npt.NDArray[np.int32]
+
+
+class Border(NamedTuple):
+    """How a frame goes on beyond its border.
+
+    Attributes
+    ----------
+    limit : ndarray of shape (h, w), float32
+        How bright what is repeated there may be, in blocks, see `limit_light`. What it says of blocks
+        that are not on the border means nothing. Empty if nothing lies there.
+    slopes : tuple of four ndarrays of shapes (W,), (W,), (H,) and (H,), float64
+        For each pixel of the upper border, the lower, the left and the right one, the direction in which edges reach
+        it: px along it for each px outwards.
+    """
+
+    limit: Image
+    slopes: tuple[DoubleArray, DoubleArray, DoubleArray, DoubleArray]
 
 
 @kernel
@@ -74,15 +91,36 @@ def dimming(radiance, i, j, limit, row, col):
     return most / brightest if brightest > most else np.float32(1.0)
 
 
+@helper
+def _slid(place, outside, slope):
+    """Return the pixel along a side of the border that reaches a place beyond it."""
+    last = len(slope) - 1
+    own = min(max(place, 0), last)
+    own = min(max(int(np.rint(place - outside * slope[own])), 0), last)
+    return min(max(int(np.rint(place - outside * slope[own])), 0), last)
+
+
+@helper
+def on_border(row, col, shape, slopes):
+    """Return row and column of the pixel on the border that goes on at a place beyond it, and how far out that is."""
+    top, bottom, left, right = slopes
+    height, width = shape
+    y, x = min(max(row, 0), height - 1), min(max(col, 0), width - 1)
+    down, across = abs(row - y), abs(col - x)
+    if down >= across:
+        return y, _slid(col, down, top if row < 0 else bottom), max(down, across)
+    return _slid(row, across, left if col < 0 else right), x, max(down, across)
+
+
 @kernel
-def extend_frame(begin, end, frame, limit, reach, origin, radiance, label):
+def extend_frame(begin, end, frame, border, reach, origin, radiance, label):
     """Weight the pixels of a frame, and continue its border outwards, as far as the PSFs of its pixels reach back.
 
     Parameters
     ----------
     frame : Weighted
-    limit : ndarray of shape (H / BLOCK, W / BLOCK), float32
-        How bright what lies beyond the border may be, see `limit_light`; not read where nothing does.
+    border : Border
+        Not read where nothing lies beyond.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches, px. A label is ``layer * n_variants + variant``.
     origin : tuple of two ints
@@ -93,23 +131,24 @@ def extend_frame(begin, end, frame, limit, reach, origin, radiance, label):
     """
     own, weight, labels = frame.radiance.reshape(frame.radiance.size), frame.weight, frame.label
     target, pitch, (height, width) = radiance.reshape(radiance.size), label.shape[1], labels.shape
+    limit, slopes = border
     for i in range(begin, end):
         down = origin[0] + i
         row = min(max(down, 0), height - 1)
         first = -origin[1] if down == row else pitch
-        # Repeat the nearest pixel; draw nothing that is black, or too far outside for its PSF to reach back.
+        # Repeat pixels on the border; draw nothing that is black, or too far outside for its PSF to reach back.
         for j in range(pitch - (width if down == row else 0)):
             j += width if j >= first else 0
-            col = min(max(origin[1] + j, 0), width - 1)
-            index = labels[row, col]
+            y, x, outside = on_border(down, origin[1] + j, (height, width), slopes)
+            index = labels[y, x]
             label[i, j] = -1
-            if index < 0 or max(abs(down - row), abs(origin[1] + j - col)) > reach[index % len(reach)]:
+            if index < 0 or outside > reach[index % len(reach)]:
                 continue
-            share = weight[row, col] if weight.shape[0] else np.float32(1.0)
-            light = share * dimming(frame.radiance, row, col, limit, row, col)
+            share = weight[y, x] if weight.shape[0] else np.float32(1.0)
+            light = share * dimming(frame.radiance, y, x, limit, y, x)
             for c in range(4):
-                radiance[i, j, c] = (light if c < 3 else share) * frame.radiance[row, col, c]
-                if frame.radiance[row, col, c] != 0:
+                radiance[i, j, c] = (light if c < 3 else share) * frame.radiance[y, x, c]
+                if frame.radiance[y, x, c] != 0:
                     label[i, j] = index
         if down != row:
             continue

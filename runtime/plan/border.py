@@ -5,25 +5,39 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import Image
+from spreadlets.arrays import NOTHING, DoubleArray, Image
 from spreadlets.parallel import for_bands
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.plan import _border_kernels
-from spreadlets.runtime.plan._border_kernels import Weighted
+from spreadlets.runtime.plan._border_kernels import Border, Weighted
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
+
+STRIP_PX = 16
+"""Depth of the strip along the border that tells in which direction edges reach it."""
+AROUND_PX, NEAR_PX = 64, 10.0
+"""How far to both sides along the border it is looked at; and how near that counts for the most: where nothing lies so
+near, an edge farther off tells the direction."""
+STEEPEST = 2.0
+"""Most that an edge goes on along the border, px for each px outwards."""
+NEGLIGIBLE = 1e-9
+
+
+NO_BORDER = Border(NOTHING, 4 * (np.zeros(0),))
+"""Of a frame beyond which there is nothing."""
 
 
 def extended_pass(
     frame: SplatPass,
     share: Image,
     reach: npt.NDArray[np.int64],
-    limit: Image,
+    border: Border,
     corner: tuple[int, int] = (0, 0),
 ) -> SplatPass:
     """Return a frame with its pixels weighted, and with what lies beyond its border.
 
-    There, the nearest pixel on the border is repeated, as far as its PSF reaches back into the frame; lamps are dimmed.
+    There, pixels on the border are repeated in the direction in which edges reach it, as far as their PSFs reach back
+    into the frame; lamps are dimmed.
 
     Parameters
     ----------
@@ -33,8 +47,7 @@ def extended_pass(
         Weight of each pixel; empty if all are 1.
     reach : ndarray of shape (n_variants,), int64
         How far each variant's splat reaches from its pixel, px.
-    limit : ndarray of shape (h, w), float32
-        How bright what lies beyond the border may be, see `border_limit`; empty if nothing lies there.
+    border : Border
     corner : tuple of two ints
         Row and column of the frame's first pixel, counted from the picture's centre.
 
@@ -48,20 +61,20 @@ def extended_pass(
     # Find how far the PSFs along each side reach back, in whole blocks of the grid.
     height, width = frame.label.shape
     top = bottom = left = right = 0
-    if len(limit) and len(reach):
+    if len(border.limit) and len(reach):
         edges = frame.label[0], frame.label[-1], frame.label[:, 0], frame.label[:, -1]
         top, bottom, left, right = (int(reach[edge[edge >= 0] % len(reach)].max(initial=0)) for edge in edges)
         top, left = (side + (at - side) % STRIDES[-1] for side, at in zip((top, left), corner, strict=True))
     elif not len(share):
         return frame
-    # Repeat pixels outwards.
+    # Repeat pixels outwards, along the edges that reach the border.
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), buffer((*shape, 4)), buffer(shape, np.int32))
     for_bands(
         _border_kernels.extend_frame,
         shape[0],
         Weighted(frame.radiance, share, frame.label),
-        limit,
+        border,
         reach,
         extended.origin,
         extended.radiance,
@@ -71,16 +84,37 @@ def extended_pass(
 
 
 @Remembered
-def border_limit(radiance: Image) -> Image:
-    """Return how bright what goes on beyond the border of colours (H, W, 4) may be, in blocks, shape (h, w).
-
-    What it says of blocks that are not on the border means nothing.
+def border_of(radiance: Image) -> Border:
+    """Return how colours (H, W, 4) go on beyond their border.
 
     A plain repetition would turn a lamp at the border into a row of lamps, and its bokeh would grow brighter towards
-    the border.
+    the border. And it would bend every edge that reaches the border aslant.
     """
     shape = tuple(-(-side // _border_kernels.BLOCK) for side in radiance.shape[:2])
     light, limit = np.empty((*shape, 2)), np.empty(shape, np.float32)
     for_bands(_border_kernels.sum_light, len(light), radiance, light)
     for_bands(_border_kernels.limit_light, len(light), light, limit)
-    return limit
+    from_sides = radiance, radiance[::-1], radiance.swapaxes(0, 1), radiance[:, ::-1].swapaxes(0, 1)
+    above, below, left, right = (_slopes(each[: STRIP_PX + 1, :, :3]) for each in from_sides)
+    return Border(limit, (above, below, left, right))
+
+
+def _slopes(strip: Image) -> DoubleArray:
+    """Return the slopes of edges along the colours of a strip, of which the first row is the border; 0 without edges.
+
+    Along an edge, colours change the least: outwards they change by as much as they do along the border, times the
+    slope, the other way round. It is found by least squares.
+    """
+    if min(strip.shape[:2]) < 3:
+        return np.zeros(strip.shape[1])
+    lightness = np.sqrt(np.maximum(strip.max(axis=2), 0.0, dtype=np.float64))
+    # Take gradients (Sobel).
+    down, across = lightness[2:] - lightness[:-2], lightness[:, 2:] - lightness[:, :-2]
+    inwards = down[:, :-2] + 2.0 * down[:, 1:-1] + down[:, 2:]
+    along = across[:-2] + 2.0 * across[1:-1] + across[2:]
+    # Sum up over the depth of the strip, and what lies around along it.
+    counts = (1.0 + (np.arange(-AROUND_PX, AROUND_PX + 1) / NEAR_PX) ** 2) ** -2
+    squares, products = (
+        np.convolve((along * each).sum(axis=0), counts)[AROUND_PX - 1 :][: strip.shape[1]] for each in (along, inwards)
+    )
+    return np.clip(products / (squares + NEGLIGIBLE), -STEEPEST, STEEPEST)

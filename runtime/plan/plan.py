@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spreadlets.arrays import NOTHING, Image
 from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
@@ -27,8 +26,9 @@ from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import DEFAULT_TOLERANCE, FRAME_SOFTNESS, SAMPLE_TOLERANCE, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
+from spreadlets.runtime.plan._border_kernels import Border
 from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
-from spreadlets.runtime.plan.border import border_limit, extended_pass
+from spreadlets.runtime.plan.border import NO_BORDER, border_of, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -190,7 +190,7 @@ class _Part(NamedTuple):
     pixels: Pixels
     label: npt.NDArray[np.int32]
     weight: npt.NDArray[np.float32]
-    limit: Image
+    border: Border
 
 
 def needed_spreadlets(frame: Frame, camera: ThinLens, grid: PsfGrid) -> set[tuple[int, int]]:
@@ -362,8 +362,8 @@ def _lay_out(
     wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
     colours = [each.radiance if each.frame is None else each.frame for each in pixel_sets]
-    limits = [border_limit(each) if border else NOTHING for each in colours]
-    parts = _all_parts(highlights.dimmed(pixel_sets), members, limits, n_layers, table.n_variants)
+    borders = [border_of(each) if border else NO_BORDER for each in colours]
+    parts = _all_parts(highlights.dimmed(pixel_sets), members, borders, n_layers, table.n_variants)
     shape = pixel_sets[0].labels.view.frame_shape
     splats = list(_splat_passes(parts, shape, table, n_layers, wide))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
@@ -548,15 +548,15 @@ def _spike_pass(frame: SplatPass, spike_of: npt.NDArray[np.int32], n_layers: int
 def _all_parts(
     pixel_sets: Sequence[Pixels],
     members: Sequence[Membership],
-    limits: Sequence[Image],
+    borders: Sequence[Border],
     n_layers: int,
     n_variants: int,
 ) -> Iterator[_Part]:
-    """Yield all parts of all pixels, and how bright those of each set may be beyond the border."""
-    for pixels, member, limit in zip(pixel_sets, members, limits, strict=True):
+    """Yield all parts of all pixels, and how each set goes on beyond the border."""
+    for pixels, member, border in zip(pixel_sets, members, borders, strict=True):
         if (member.variant >= 0).any():
             for label, weight in _parts(pixels, member, n_layers, n_variants):
-                yield _Part(pixels, label, weight, limit)
+                yield _Part(pixels, label, weight, border)
 
 
 def _parts(
@@ -583,14 +583,14 @@ def _splat_passes(
 ) -> Iterator[SplatPass]:
     """Yield what to draw, continued beyond the border: pixels where they are, then those with shifts, pooled."""
     shifted = []
-    for pixels, label, weight, limit in parts:
+    for pixels, label, weight, border in parts:
         if pixels.labels.shift is None:
             whole = SplatPass((0, 0), pixels.radiance, label)
-            yield extended_pass(whole, weight, table.reaches, limit, pixels.labels.view.corner)
+            yield extended_pass(whole, weight, table.reaches, border, pixels.labels.view.corner)
         else:
             places = pixels.labels.view.places
             at = None if places is None else places.at
-            own = pixels.labels.shift, at, wide, limit, pixels.labels.trail
+            own = pixels.labels.shift, at, wide, border.limit, pixels.labels.trail
             shifted.append(place_pixels(pixels.radiance, weight, label, *own))
     yield from pool(shifted, shape, table.reaches, n_layers)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from spreadlets.arrays import NOTHING
-from spreadlets.runtime.plan.border import border_limit, extended_pass
+from spreadlets.runtime.plan.border import NO_BORDER, border_of, extended_pass
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 
-def extended(radiance, label, reach, limit=None):
+def extended(radiance, label, reach, border=None):
     frame = SplatPass((0, 0), radiance, label)
-    return extended_pass(frame, NOTHING, np.array(reach), border_limit(radiance) if limit is None else limit)
+    return extended_pass(frame, NOTHING, np.array(reach), border or border_of(radiance))
 
 
 def test_the_border_is_continued_as_far_as_psfs_reach_back_in_whole_blocks():
@@ -32,7 +32,24 @@ def test_beyond_the_border_it_is_as_bright_as_on_it():
     radiance[..., :3] = np.random.default_rng(0).choice([0.1, 1.8], (64, 64, 1), p=[0.7, 0.3])
     found = extended(radiance, np.zeros((64, 64), np.int32), [4])
     above = found.radiance[-found.origin[0] - 4 : -found.origin[0], -found.origin[1] : 64 - found.origin[1]]
-    np.testing.assert_array_equal(above, np.broadcast_to(radiance[:1], above.shape))
+    assert set(np.unique(above[..., :3])) == {np.float32(0.1), np.float32(1.8)}
+    assert above[..., :3].mean() == pytest.approx(radiance[0, :, :3].mean(), rel=0.2)
+
+
+@pytest.mark.parametrize("turns", range(4))
+@pytest.mark.parametrize("slope", [-1.5, -0.5, 0.0, 1.0])
+def test_beyond_the_border_edges_go_on_in_their_direction(slope, turns):
+    rows, cols = np.mgrid[-40:96.0, -40:136.0]
+    # A bright bar, anti-aliased, crosses the upper border at its middle.
+    cover = np.clip(10.5 - np.abs(cols - 48 + slope * (rows + 0.5)), 0.0, 1.0)
+    whole = (0.2 + 0.7 * cover)[..., None] * np.ones(4)
+    radiance = np.ascontiguousarray(np.rot90(whole[40:, 40:136], turns), np.float32)
+    found = extended(radiance, np.zeros(radiance.shape[:2], np.int32), [16])
+    shown = np.rot90(found.radiance[..., 0], -turns)
+    top, left = np.argwhere(np.rot90(found.label, -turns) == 0).min(axis=0)
+    above = shown[top : top + 16, left + 16 : left + 16 + 96]
+    # Each of its sides is off by less than two pixels.
+    assert np.abs(above - whole[24:40, 40:136, 0]).sum(axis=1).max() < 2 * 2 * 0.7
 
 
 def test_a_lamp_on_the_border_is_dimmed_beyond_it_in_its_own_hue():
@@ -47,7 +64,7 @@ def test_a_lamp_on_the_border_is_dimmed_beyond_it_in_its_own_hue():
 
 def test_without_a_limit_the_frame_ends_at_its_border():
     radiance, label = np.ones((8, 8, 4), np.float32), np.zeros((8, 8), np.int32)
-    assert extended(radiance, label, [4], NOTHING).label is label
+    assert extended(radiance, label, [4], NO_BORDER).label is label
 
 
 def test_light_that_covers_nothing_goes_on_too():
