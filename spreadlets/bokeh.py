@@ -33,9 +33,6 @@ FOLDER = "SPREADLETS_BOKEH_CACHE"
 MOST_BYTES = 1 << 28
 """Room for the cache, 256 MB, several hundred apertures; those not used for the longest go first."""
 
-PSF_STEPS = 65535
-"""Steps of the light of a stored PSF."""
-
 Progress = Callable[..., None]
 
 
@@ -165,9 +162,8 @@ def _make_room(kept: Path) -> None:
 
 
 def _write_psfs(path: Path, psfs: Mapping[Key, Spreadlet]) -> None:
-    """Store PSFs: keys, the points of each, and values as shares of its largest in 16 bits."""
+    """Store PSFs: keys, and the points of each as they are, so that the next run draws the same picture."""
     points = list(psfs.values())
-    peaks = np.array([np.abs(each.value).max() for each in points], np.float32)
     with atomic_path(path, ".npz") as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
             file,
@@ -175,11 +171,8 @@ def _write_psfs(path: Path, psfs: Mapping[Key, Spreadlet]) -> None:
             angle=np.array([key[1] for key in psfs]),
             side=np.array([key[2] for key in psfs]),
             count=np.array([each.n_points for each in points]),
-            peak=peaks,
             offset=np.concatenate([each.offset_rc for each in points]),
-            value=np.concatenate(
-                [np.rint(PSF_STEPS * each.value / peak) for each, peak in zip(points, peaks, strict=True)]
-            ).astype(np.uint16),
+            light=np.concatenate([each.value for each in points]),
         )
 
 
@@ -192,10 +185,9 @@ def _read_psfs(path: Path) -> dict[Key, Spreadlet]:
                 for place, angle, side in zip(stored["coordinate"], stored["angle"], stored["side"], strict=True)
             ]
             ends = np.cumsum(stored["count"])[:-1]
-            offsets, values = np.split(stored["offset"], ends), np.split(stored["value"], ends)
+            offsets, lights = np.split(stored["offset"], ends), np.split(stored["light"], ends)
             return {
-                key: Spreadlet(offset, value.astype(np.float32) * (peak / np.float32(PSF_STEPS)), True)
-                for key, offset, value, peak in zip(keys, offsets, values, stored["peak"], strict=True)
+                key: Spreadlet(offset, light, True) for key, offset, light in zip(keys, offsets, lights, strict=True)
             }
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return {}
