@@ -16,7 +16,7 @@ from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
 from spreadlets.runtime.buffers import buffer, cleared, copied, let_go
 from spreadlets.runtime.clock import Clock
-from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, is_opaque
+from spreadlets.runtime.composite.composite import COVERAGE, LAST, LEAST_SEEN, add_layer, even_colours, is_opaque
 from spreadlets.runtime.composite.haze import BlurredShare, Haze
 from spreadlets.runtime.composite.visibility import (
     GivenLayer,
@@ -464,6 +464,9 @@ def _add_drawing(
     for number in used:
         covered, canvas, padded = _splat_layer(sources, number, drawing, image.shape, solver, clock)
         last = closed and number == used[-1]
+        if last and drawing.parts_colours:
+            _, _, white = _splat_layer(_in_white(sources), number, drawing, image.shape, solver, clock)
+            even_colours(padded, white)
         # Normalise the layer by its visibility, and put it behind the image.
         with clock.step("composite"):
             seen = None if visibility is None or last else visibility.seen(number)
@@ -481,6 +484,17 @@ def _add_drawing(
             del padded, seen, beyond
         tally.add_canvas(covered, image.shape)
     tally.add_drawing(drawing, len(used))
+
+
+def _in_white(sources: list[list[Runs]]) -> list[list[Runs]]:
+    """Return runs whose pixels are as opaque as they are, and white."""
+    return [
+        [
+            runs._replace(source=runs.source._replace(radiance=np.repeat(runs.source.radiance[..., 3:], 4, axis=-1)))
+            for runs in levels
+        ]
+        for levels in sources
+    ]
 
 
 def _splat_layer(

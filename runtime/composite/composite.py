@@ -28,11 +28,13 @@ LEAST_BITS = 3
 """
 LEAST_WEIGHT, UNLIMITED = 1e-3, 1e30
 """Weight of a layer around a block, px, that tells how bright it is; and how bright it may be where there is less."""
+NO_WEIGHT = np.float32(1e-3)
+"""Weight of a colour that is as good as none: ten times the error of the solver."""
 FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
 
-__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "is_opaque"]
+__all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "even_colours", "is_opaque"]
 
 
 def add_layer(
@@ -101,6 +103,23 @@ def add_layer(
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
         for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound_of_levels)
     for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound)
+
+
+def even_colours(padded: Image, white: Image) -> None:
+    """Give the colours of a layer's sums the weight that its alpha has, in place.
+
+    Where one cell of a database ends and the next begins, glass shifts each colour by a little more or less: a line is
+    left in which there is too much of one and too little of another.
+
+    Parameters
+    ----------
+    padded : ndarray of shape (rows, cols, 4), float32
+        Sums of the layer's splats.
+    white : ndarray of shape (rows, cols, 4), float32
+        What they would be if all of the layer were white.
+    """
+    weight = np.maximum(white, np.float32(0.0)) + NO_WEIGHT
+    padded[..., :3] *= weight[..., 3:] / weight[..., :3]
 
 
 def _lamps(

@@ -79,6 +79,8 @@ class Drawing:
         Row and column of the first pixel, counted from the picture's centre.
     error_bound : float
         Bound on the change of the displayed image by drawing blocks of pixels as one.
+    parts_colours : bool
+        That of the model: each colour is then divided by a weight of its own.
     """
 
     sources: list[list[SplatPass]]
@@ -87,6 +89,7 @@ class Drawing:
     n_layers: int
     corner: tuple[int, int]
     error_bound: float
+    parts_colours: bool
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
@@ -288,6 +291,7 @@ def plan_pixels(
             tolerance=tolerance,
             border=border,
             stochastic=stochastic,
+            parts_colours=database.grid.model.parts_colours,
         ),
         highlights=chosen.highlights,
         first_highlight=chosen.n_variants,
@@ -355,6 +359,7 @@ def _lay_out(
     tolerance: float,
     border: bool,
     stochastic: bool,
+    parts_colours: bool,
 ) -> Drawing:
     """Lay out what each layer draws, and bound the error of drawing blocks of pixels as one."""
     table, highlights = chosen.table, chosen.highlights
@@ -375,7 +380,8 @@ def _lay_out(
     merged = [merge_blocks(each, variation, tolerance - coarse) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
     error_bound = coarse + max((bound for _, bound in merged), default=0.0)
-    return Drawing(sources, table, chosen.n_variants, n_layers, pixel_sets[0].labels.view.corner, error_bound)
+    corner = pixel_sets[0].labels.view.corner
+    return Drawing(sources, table, chosen.n_variants, n_layers, corner, error_bound, parts_colours)
 
 
 def _variant_keys(pixels: Pixels, given: _Given) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:

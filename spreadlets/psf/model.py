@@ -237,6 +237,11 @@ class PsfModel:
         return any(axis.name == "motion" for axis in self.axes)
 
     @property
+    def parts_colours(self) -> bool:
+        """Whether PSFs shift each colour by another way from place to place, as glass does, and none loses light."""
+        return self.n_channels > 1 and self.symmetry.heading == "azimuth"
+
+    @property
     def closed_radius(self) -> float:
         """CoC radius up to which PSFs are drawn in closed form, px; -1 if they are not those of a round thin lens."""
         is_round = self.axes[0].name == "coc" and self.n_channels == 1 and not self.settings

@@ -127,6 +127,14 @@ def test_corners_darken_as_the_lens_darkens_them(lens):
     np.testing.assert_array_equal(dark[..., 3], bright[..., 3])
 
 
+@pytest.mark.parametrize("coc", [5.0, -5.0])
+def test_a_wall_of_one_colour_stays_that_behind_glass(lens, coc):
+    """From cell to cell the glass shifts each colour by another way: lines of up to a tenth of the light were seen."""
+    radiance = np.broadcast_to(np.float32([0.9, 0.6, 0.3]), (SIZE, SIZE, 3))
+    wall = Frame(radiance, np.full((SIZE, SIZE), depth_of(coc), np.float32))
+    np.testing.assert_allclose(quiet(wall, lens), np.broadcast_to([0.9, 0.6, 0.3, 1.0], (SIZE, SIZE, 4)), atol=1e-3)
+
+
 def test_vignetting_needs_a_lens_of_glass(triangles):
     with pytest.raises(InvalidParameterError, match="'simplelens' knows no vignetting; build one of 'physicallens'"):
         synthesize(spot_frame(32, 32, 5.0), CAMERA, triangles, vignetting=True)
