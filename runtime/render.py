@@ -477,11 +477,22 @@ def _add_drawing(
             placed = (canvas.top, canvas.left), kind
             before = None if parts is None else copied(image)
             blur = None if visibility is None else visibility.guessed_blur(number)
-            add_layer(image, padded, *placed, seen=seen, beyond=beyond, least=least, corner=drawing.corner, blur=blur)
+            lanes = None if visibility is None else visibility.lanes(number)
+            add_layer(
+                image,
+                padded,
+                *placed,
+                seen=seen,
+                beyond=beyond,
+                least=least,
+                corner=drawing.corner,
+                blur=blur,
+                lanes=lanes,
+            )
             if parts is not None and before is not None:
                 parts.append((number, np.subtract(image, before, out=before)))
             # The next layer is drawn where this one was.
-            del padded, seen, beyond
+            del padded, seen, beyond, lanes
         tally.add_canvas(covered, image.shape)
     tally.add_drawing(drawing, len(used))
 

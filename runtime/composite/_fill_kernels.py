@@ -21,7 +21,7 @@ SOLVER_ERROR = np.float32(0.005)
 
 
 @helper
-def _sure(measure):
+def sureness(measure):
     """Return how far sums of this measure are to be believed, from 0 to 1."""
     if measure >= np.float32(2.0) * SOLVER_ERROR:
         return np.float32(1.0)
@@ -29,7 +29,7 @@ def _sure(measure):
 
 
 @helper
-def _measure(weight, seen, kind):
+def measured(weight, seen, kind):
     """Return by what the sums of a pixel are divided."""
     own = max(weight, np.float32(0.0))
     if kind == LAST:
@@ -50,7 +50,7 @@ def is_unseen(begin, end, padded, top, left, seen, kind, least, shape):
             i, j = row - top, col - left
             weight = padded[i, j, 3] if 0 <= i < rows and 0 <= j < cols else np.float32(0.0)
             share = seen[row, col] if seen.shape[0] else np.float32(1.0)
-            if _measure(weight, share, kind) < least:
+            if measured(weight, share, kind) < least:
                 return True
     return False
 
@@ -151,7 +151,7 @@ def add_layer(begin, end, image, beyond, padded, top, left, seen, kind):
             if not (0 <= i < rows and 0 <= j < cols):
                 continue
             weight = padded[i, j, 3]
-            scale = one / _measure(weight, seen[row, col] if seen.shape[0] else one, kind)
+            scale = one / measured(weight, seen[row, col] if seen.shape[0] else one, kind)
             alpha = max(weight * scale, np.float32(0.0))
             r, g, b = padded[i, j, 0] * scale, padded[i, j, 1] * scale, padded[i, j, 2] * scale
             more = beyond[row, col] if beyond.shape[0] else np.float32(0.0)
@@ -180,8 +180,8 @@ def pull_sums(begin, end, padded, top, left, seen, kind, lamps, shape, odd, coar
                     each, i, j = NONE, y - top, x - left
                     if 0 <= i < rows and 0 <= j < cols:
                         each = load(sums, _U(4 * (i * cols + j)))
-                    own = _measure(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
-                    sure = _sure(own)
+                    own = measured(each[3], seen[y, x] if seen.shape[0] else np.float32(1.0), kind)
+                    sure = sureness(own)
                     total = add(total, multiply((sure, sure, sure, sure), each))
                     measure += sure * own
             # What stands for what lies hidden holds no lamps.
@@ -271,8 +271,11 @@ def push(begin, end, fine, coarse, odd, least):
 
 
 @kernel
-def add_filled(begin, end, image, beyond, padded, top, left, seen, kind, coarse, odd, least):
-    """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid."""
+def add_filled(begin, end, image, beyond, padded, top, left, seen, kind, coarse, odd, least, told):
+    """Do as `add_layer`, and fill what was not seen from ``coarse``, the finest but one level of a pushed pyramid.
+
+    What lanes have ``told``, (H, W, 5) or (0, 0, 5), float32, see `runtime.composite.lanes`, is taken as it is.
+    """
     rows, cols = padded.shape[:2]
     sums, around = padded.reshape(padded.size), coarse.reshape(coarse.size)
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -280,12 +283,17 @@ def add_filled(begin, end, image, beyond, padded, top, left, seen, kind, coarse,
         for col in range(image.shape[1]):
             if image[row, col, 3] >= one:
                 continue
+            more = beyond[row, col] if beyond.shape[0] else zero
+            if told.shape[0] and told[row, col, 4] > zero:
+                red, green, blue, alpha = told[row, col, 0], told[row, col, 1], told[row, col, 2], told[row, col, 3]
+                _blend(image, row, col, red, green, blue, min(max(alpha, zero), one), kind == LAST, more)
+                continue
             # Normalise the layer's sum by how much of it was seen.
             each, i, j = NONE, row - top, col - left
             if 0 <= i < rows and 0 <= j < cols:
                 each = load(sums, _U(4 * (i * cols + j)))
-            measure = _measure(each[3], seen[row, col] if seen.shape[0] else one, kind)
-            sure = _sure(measure)
+            measure = measured(each[3], seen[row, col] if seen.shape[0] else one, kind)
+            sure = sureness(measure)
             measure *= sure
             scale = sure / max(measure, least)
             each = multiply((scale, scale, scale, scale), each)
@@ -295,5 +303,4 @@ def add_filled(begin, end, image, beyond, padded, top, left, seen, kind, coarse,
                 colour, _ = _interpolate(around, coarse.shape, row + odd[0], col + odd[1])
                 each = add(each, multiply((missing, missing, missing, missing), colour))
             # Put the layer behind the image.
-            more = beyond[row, col] if beyond.shape[0] else zero
             _blend(image, row, col, each[0], each[1], each[2], min(max(each[3], zero), one), kind == LAST, more)

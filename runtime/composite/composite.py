@@ -14,6 +14,7 @@ from spreadlets.runtime.box_blur import box_blurred
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.composite import _fill_kernels
 from spreadlets.runtime.composite._fill_kernels import COUNT, COVERAGE, LAST, REST
+from spreadlets.runtime.composite.lanes import Lanes
 from spreadlets.runtime.label.tiles import largest_around, tiling
 from spreadlets.scans import count_alphas
 
@@ -33,6 +34,8 @@ NO_WEIGHT = np.float32(1e-3)
 FAR_OFF = 0x155555
 """Rows and columns that the pyramid's first pair lies before the picture's centre. Pairs of pairs end at multiples of
 2, 4, 8 ... from there: with every other bit set, the centre is not where many end."""
+NOTHING_TOLD = np.zeros((0, 0, 5), np.float32)
+"""Where there are no lanes."""
 
 __all__ = ["COUNT", "COVERAGE", "LAST", "LEAST_SEEN", "REST", "add_layer", "even_colours", "is_opaque"]
 
@@ -48,6 +51,7 @@ def add_layer(
     least: tuple[float, float] = LEAST_SEEN,
     corner: tuple[int, int] = (0, 0),
     blur: float | None = None,
+    lanes: Lanes | None = None,
 ) -> None:
     """Normalise a layer and put it behind an image, in place.
 
@@ -82,6 +86,8 @@ def add_layer(
         whatever part of it the image holds.
     blur : float, optional
         How far the layer's pixels blur, px, if it is not to be filled with the light of lamps.
+    lanes : Lanes, optional
+        What moves far in focus: what they tell is not filled.
     """
     bound, bound_of_levels = map(np.float32, least)
     sums, shape = (padded, *origin, seen, kind), image.shape[:2]
@@ -102,7 +108,8 @@ def add_layer(
     top /= np.maximum(top[..., 4:], MIN_SUM)
     for fine, coarse, odd in zip(levels[-2::-1], levels[:0:-1], odds[:0:-1], strict=True):
         for_bands(_fill_kernels.push, len(fine), fine, coarse, odd, bound_of_levels)
-    for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound)
+    told = NOTHING_TOLD if lanes is None else lanes.told(padded, origin, seen, kind)
+    for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound, told)
 
 
 def even_colours(padded: Image, white: Image) -> None:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
+from spreadlets.runtime.composite.lanes import LEAST_LENGTH, Lanes, find_lanes
 from spreadlets.runtime.composite.layers import CoverPart
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
@@ -79,6 +80,10 @@ class ShareBeyond:
         moments = self.moments[number]
         return None if moments is None else moments.disc_radius()
 
+    def lanes(self, number: int) -> None:
+        """Return no lanes: the pixels of a frame are not noisy."""
+        return
+
 
 class GivenLayer:
     """A layer of a frame that comes in layers: nothing of it was hidden.
@@ -107,6 +112,10 @@ class GivenLayer:
 
     def guessed_blur(self, number: int) -> None:
         """Return nothing: all of it was seen."""
+        return
+
+    def lanes(self, number: int) -> None:
+        """Return no lanes: the pixels of a frame are not noisy."""
         return
 
 
@@ -173,7 +182,7 @@ class PassingSamples:
             layer = np.where(samples.valid[:, :, number], members.layer, np.int32(0))  # a missing one passes nothing
             layer = np.where(met_nothing, np.int32(BEHIND_ALL), layer)
             self.members.append(members._replace(variant=variant.astype(np.int32, copy=False), layer=layer))
-        self.samples = samples
+        self.samples, self._pixel_sets = samples, pixel_sets
         # Where each was seen, and its places on the lens and in time, laid out once for all layers.
         since_centre = samples.time - np.float32(camera.shutter_centre)
         self.offsets, lens, time = (
@@ -212,6 +221,14 @@ class PassingSamples:
     def guessed_blur(self, number: int) -> None:
         """Return nothing: other samples saw what lies hidden."""
         return
+
+    def lanes(self, number: int) -> Lanes | None:
+        """Return the lanes of what moves far in focus in a layer, if anything does."""
+        moments = self.moments[number]
+        if moments is None or moments.length_squared <= LEAST_LENGTH**2:
+            return None
+        radiance, coc = [each.radiance for each in self._pixel_sets], [each.labels.coc for each in self._pixel_sets]
+        return find_lanes(self.members, radiance, coc, self.paths, number)
 
 
 Visibility = ShareBeyond | GivenLayer | PassingSamples
