@@ -47,7 +47,7 @@ from spreadlets.runtime.options import (
     Options,
 )
 from spreadlets.runtime.plan.divide import divide_frames
-from spreadlets.runtime.plan.evening import evened
+from spreadlets.runtime.plan.evening import Seen, evened
 from spreadlets.runtime.plan.layering import Layering
 from spreadlets.runtime.plan.plan import Drawing, Plan, plan_pixels
 from spreadlets.runtime.plan.variant import DensePsf
@@ -339,7 +339,7 @@ def reconstruct(
         pixel_sets = sample_pixels(samples, camera, defocus=options.defocus, motion=options.motion)
         pixel_sets, tally.clamped = _clamped_samples(pixel_sets, options.firefly_clamp or SAMPLE_CLAMP)
         layering = _layers_of_samples(pixel_sets[0], options)
-        pixel_sets = evened(pixel_sets, layering)
+        pixel_sets, passing_weights = evened(pixel_sets, _taken(samples, pixel_sets, camera, options), layering)
         effects = Effects(options.defocus, options.motion, database.grid.model.has_motion)
         drawn = sample_steps(samples, pixel_sets, camera, effects)
         shows_samples = _shows_samples(samples, camera, database, options)
@@ -347,7 +347,8 @@ def reconstruct(
         plan = draw(drawn, database, options, layering.n_layers, stochastic=True, lights=shows_samples)
         n_samples = samples.n_samples
         seen = replace(plan, members=plan.members[:n_samples])
-        visibility = PassingSamples(samples, camera, pixel_sets, drawn[:n_samples], seen, defocus=options.defocus)
+        sets = pixel_sets, drawn[:n_samples], seen, passing_weights
+        visibility = PassingSamples(samples, camera, *sets, defocus=options.defocus)
         closed = bool((samples.radiance[..., 3] == samples.valid).all())
         tally.add_plan(plan)
         drawing = plan.lay_out(drawn)
@@ -371,6 +372,21 @@ def reconstruct(
         with clock.step("composite"):
             image = denoise_sharp(image, _sharp_share(seen, samples.valid), options.denoise)
     return image, Report.of(clock, plan_figures(tally, database))
+
+
+def _taken(samples: SampleBuffer, pixel_sets: Sequence[Pixels], camera: ThinLens, options: Options) -> list[Seen]:
+    """Return how samples were taken: by lens and shutter, even where their blur is taken out of the image."""
+    if not (options.defocus and options.motion):
+        pixel_sets = sample_pixels(samples, camera, defocus=True, motion=True)
+    time = (samples.time - np.float32(camera.shutter_centre)) / np.float32(camera.shutter_duration)
+    return [
+        Seen(
+            samples.valid[:, :, number],
+            pixels.labels,
+            *(np.ascontiguousarray(each[:, :, number]) for each in (samples.offset, samples.lens_uv, time)),
+        )
+        for number, pixels in enumerate(pixel_sets)
+    ]
 
 
 def _solver(options: Options) -> Solver:

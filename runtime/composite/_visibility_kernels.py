@@ -221,7 +221,9 @@ def hide_unreached(begin, end, nearer, beyond, distance, place, blur, number, se
 
 @kernel
 def scatter_passing(members, number, sample, moments, ways, bits, padding, passing):
-    """Add the samples that lie behind a layer, each where it passed through it, split bilinearly.
+    """Add what passed a layer of samples, each where it passed through it, split bilinearly.
+
+    Those that lie behind the layer have passed it, and of those in it what it leaves of them.
 
     Parameters
     ----------
@@ -229,8 +231,9 @@ def scatter_passing(members, number, sample, moments, ways, bits, padding, passi
         Variant, layer and share of the next one, as for `layer_labels`.
     number : int
         The layer.
-    sample : tuple of ndarrays of shapes (H, W, 2), (H, W, 2) and (H, W), float32
-        Where in its pixel each sample was seen, (dx, dy); its place on the lens, and in time from the shutter's centre.
+    sample : tuple of ndarrays of shapes (H, W, 2), (H, W, 2), (H, W), (H, W) and (H, W), float32
+        Where in its pixel each sample was seen, (dx, dy); its place on the lens, and in time from the shutter's centre;
+        its alpha; and its weight.
     moments : tuple of three floats
         CoC radius of the layer, px, and its motion (dx, dy).
     ways : ndarray of shape (h, w, 4), float32
@@ -243,17 +246,20 @@ def scatter_passing(members, number, sample, moments, ways, bits, padding, passi
         Accumulated in place; what lies outside is dropped.
     """
     variant, layer, farther = members
-    offset, lens_uv, time = sample
+    offset, lens_uv, time, alpha, weights = sample
     coc, motion_x, motion_y = moments
     height, width = passing.shape
     for padded_row in range(height):
         row = min(max(padded_row - padding, 0), variant.shape[0] - 1)
         for padded_col in range(width):
             col = min(max(padded_col - padding, 0), variant.shape[1] - 1)
-            # Find the share of the sample that lies behind the layer.
-            weight = np.float32(1.0) - _share_before(np.float32(layer[row, col]) + farther[row, col], number + 1)
+            # Find the share of the sample that passed the layer.
+            place = np.float32(layer[row, col]) + farther[row, col]
+            met = _share_before(place, number + 1) - _share_before(place, number)
+            weight = np.float32(1.0) - _share_before(place, number + 1) + met * (np.float32(1.0) - alpha[row, col])
             if weight == 0 or (variant[row, col] < 0 and layer[row, col] <= number):
                 continue
+            weight *= weights[row, col]
             # Shear the sample to where its ray passed through the layer.
             x = padded_col + offset[row, col, 0] - coc * lens_uv[row, col, 0]
             y = padded_row + offset[row, col, 1] - coc * lens_uv[row, col, 1]

@@ -176,20 +176,43 @@ def share_beyond(cover: Cover, number: int, moments: Moments) -> Image:
     return seen
 
 
-def _padding(
-    passes: Sequence[tuple[Membership, Image, Image, Image]], moments: Moments, local: Image, duration: float
-) -> float:
+def _padding(passes: Sequence[Pass], moments: Moments, local: Image, duration: float) -> float:
     """Return how far, px, samples beyond the border can be from what they blur into; arguments as `passing_samples`."""
     fastest = max(map(abs, moments.motion))
     if local.size:
         border = local[:1, :, :2], local[-1:, :, :2], local[:, :1, :2], local[:, -1:, :2]
         fastest = max(map(_largest, border)) / duration
-    farthest = max(_largest(offset) + abs(moments.coc) + fastest * _largest(time) for _, offset, _, time in passes)
+    farthest = max(_largest(each.offset) + abs(moments.coc) + fastest * _largest(each.time) for each in passes)
     return sum(moments.box_half_widths()) + farthest + 1.0
 
 
+class Pass(NamedTuple):
+    """One sample of each pixel, (H, W), float32 and contiguous, and how much of it may pass layers.
+
+    Attributes
+    ----------
+    members : Membership
+        Its layers.
+    offset, lens_uv : ndarray of shape (H, W, 2), float32
+        Where in its pixel it was seen, (dx, dy), px; its place on the lens.
+    time : ndarray of shape (H, W), float32
+        From the middle of the shutter's.
+    alpha : ndarray of shape (H, W), float32
+        Its layer lets the rest pass.
+    weight : ndarray of shape (H, W), float32
+        How many samples it stands for.
+    """
+
+    members: Membership
+    offset: Image
+    lens_uv: Image
+    time: Image
+    alpha: Image
+    weight: Image
+
+
 def passing_samples(
-    passes: Sequence[tuple[Membership, Image, Image, Image]],
+    passes: Sequence[Pass],
     paths: Sequence[Image],
     number: int,
     moments: Moments,
@@ -201,8 +224,7 @@ def passing_samples(
 
     Parameters
     ----------
-    passes : sequence of (members, offset, lens_uv, time)
-        The samples; where in their pixel they were seen, (dx, dy); their places on the lens and in time: contiguous.
+    passes : sequence of Pass
     paths : sequence of ndarray of shape (H, W, 2), float32
         How far each sample moves while the shutter is open, px, see `runtime.label.sampled.sample_paths`.
     number : int
@@ -211,11 +233,11 @@ def passing_samples(
     duration : float
         Of the shutter, in the unit of ``time``.
     """
-    height, width = passes[0][0].variant.shape
+    height, width = passes[0].members.variant.shape
     local = NO_PATHS
     if moments.length_squared > LEAST_LENGTH**2:
         # What moves alike blurs along its paths, what is left to all sides.
-        local, unlike = _local_paths([each[0] for each in passes], paths, number)
+        local, unlike = _local_paths([each.members for each in passes], paths, number)
         moments = moments._replace(length_squared=unlike)
     # Find how far beyond the border samples count; of what blurs wider than a few frames all counts are even.
     most = max(LEAST_PADDING, MOST_PADDING * max(height, width))

@@ -11,7 +11,7 @@ from spreadlets.arrays import NOTHING, Image
 from spreadlets.runtime.composite import layers
 from spreadlets.runtime.composite.composite import COUNT, COVERAGE, LEAST_SEEN, REST
 from spreadlets.runtime.composite.lanes import LEAST_LENGTH, Lanes, find_lanes
-from spreadlets.runtime.composite.layers import CoverPart
+from spreadlets.runtime.composite.layers import CoverPart, Pass
 from spreadlets.runtime.composite.overlap import Overlap, find_overlap
 from spreadlets.runtime.label.labels import Labels
 from spreadlets.runtime.label.lists import Pixels
@@ -152,6 +152,8 @@ class PassingSamples:
         What is drawn of each of these sets.
     plan : Plan
         Of what is drawn.
+    weights : sequence of sequences of ndarray of shape (H, W), float32
+        Of each sample where it passed a layer, for each layer and set, see `runtime.plan.evening.evened`.
     defocus : bool
         Whether that is blurred.
 
@@ -171,10 +173,11 @@ class PassingSamples:
         pixel_sets: Sequence[Pixels],
         drawn: Sequence[Pixels],
         plan: Plan,
+        weights: Sequence[Sequence[Image]],
         *,
         defocus: bool,
     ) -> None:
-        self.members = []
+        self.members, self._weights = [], weights
         for number, (pixels, members) in enumerate(zip(drawn, plan.members, strict=True)):
             # What lists draw at steps of time has been met, too.
             variant = members.variant if pixels.curved is None else np.where(pixels.curved, 0, members.variant)
@@ -185,11 +188,11 @@ class PassingSamples:
         self.samples, self._pixel_sets = samples, pixel_sets
         # Where each was seen, and its places on the lens and in time, laid out once for all layers.
         since_centre = samples.time - np.float32(camera.shutter_centre)
-        self.offsets, lens, time = (
+        self.offsets, lens, time, alpha = (
             [np.ascontiguousarray(each[:, :, i]) for i in range(samples.n_samples)]
-            for each in (samples.offset, samples.lens_uv, since_centre)
+            for each in (samples.offset, samples.lens_uv, since_centre, samples.radiance[..., 3])
         )
-        self._passes = list(zip(self.members, self.offsets, lens, time, strict=True))
+        self._passes = list(zip(self.members, self.offsets, lens, time, alpha, strict=True))
         self.paths = sample_paths(samples, pixel_sets, camera)
         self._duration = camera.shutter_duration
         self.moments = self._moments(pixel_sets, plan.n_layers)
@@ -216,7 +219,8 @@ class PassingSamples:
         moments = self.moments[number]
         if moments is None:
             return None
-        return layers.passing_samples(self._passes, self.paths, number, moments, self._duration)
+        passes = [Pass(*each, weight) for each, weight in zip(self._passes, self._weights[number], strict=True)]
+        return layers.passing_samples(passes, self.paths, number, moments, self._duration)
 
     def guessed_blur(self, number: int) -> None:
         """Return nothing: other samples saw what lies hidden."""

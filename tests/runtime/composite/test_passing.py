@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spreadlets.runtime.composite.layers import Moments, passing_samples
+from spreadlets.runtime.composite.layers import Moments, Pass, passing_samples
 from spreadlets.runtime.plan.layering import Membership
 
 SIZE, LENGTH = 96, 24.0
@@ -16,7 +16,8 @@ def passed(paths, inside):
     still = np.zeros((*layer.shape, 2), np.float32)
     square = float((paths[inside] ** 2).sum(axis=-1).mean())
     moments = Moments(0.0, 0.0, square, (0.0, 0.0), LENGTH / 2)
-    return passing_samples([(members, still, still, np.zeros(layer.shape, np.float32))], [paths], 0, moments, 1.0)
+    zeros, ones = np.zeros(layer.shape, np.float32), np.ones(layer.shape, np.float32)
+    return passing_samples([Pass(members, still, still, zeros, ones, ones)], [paths], 0, moments, 1.0)
 
 
 @pytest.mark.interpreted
@@ -63,7 +64,8 @@ def test_of_a_turning_blade_as_much_is_passed_as_it_leaves():
     def passed_by(behind):
         layers = behind.astype(np.int32)
         members = [Membership(np.zeros_like(each), each, still[..., 0].copy()) for each in layers]
-        passes = [(each, still, still, time) for each, time in zip(members, times, strict=True)]
+        ones = np.ones_like(radius, np.float32)
+        passes = [Pass(each, still, still, time, ones, ones) for each, time in zip(members, times, strict=True)]
         return passing_samples(passes, [path] * count, 0, moments, 1.0)
 
     past, own = passed_by(~met), passed_by(met)

@@ -19,6 +19,7 @@ from spreadlets.runtime.composite.composite import COUNT, LAST, REST, add_layer
 from spreadlets.runtime.composite.layers import (
     Cover,
     Moments,
+    Pass,
     cover_part,
     layer_moments,
     passing_samples,
@@ -273,12 +274,18 @@ def test_samples_behind_a_layer_are_holes_where_they_passed_it():
     offset, lens, time = np.zeros((9, 9, 2), np.float32), np.zeros((9, 9, 2), np.float32), np.zeros((9, 9), np.float32)
     offset[4, 4], lens[4, 4], time[4, 4] = (0.25, 0.0), (0.5, -0.5), 0.5
     moments = Moments(2.0, 0.0, 0.0, (0.0, 4.0))  # x: 4 + 0.25 - 2 * 0.5, y: 4 + 2 * 0.5 - 4 * 0.5
-    found = passing_samples([(members_of(layer), offset, lens, time)], [lens], 0, moments, 1.0)
+    alpha, ones = np.ones((2, 9, 9), np.float32)
+    passes = [Pass(members_of(layer), offset, lens, time, alpha, ones)]
+    found = passing_samples(passes, [lens], 0, moments, 1.0)
     expected = np.zeros((9, 9))
     expected[3, 3], expected[3, 4], expected[6, 2] = 0.75, 0.25, 1.0
     assert np.allclose(found, expected, atol=1e-6)
-    behind_both = passing_samples([(members_of(layer), offset, lens, time)], [lens], 1, moments, 1.0)
+    behind_both = passing_samples(passes, [lens], 1, moments, 1.0)
     assert behind_both.sum() == pytest.approx(1.0), "only what met nothing passes the second layer, too"
+    alpha[4, 4] = 0.25
+    assert passing_samples(passes, [lens], 1, moments, 1.0).sum() == pytest.approx(1.75), "it lets the rest pass"
+    ones[4, 4] = 0.5
+    assert passing_samples(passes, [lens], 0, moments, 1.0).sum() == pytest.approx(1.5), "it stands for half a sample"
 
 
 @pytest.mark.parametrize("moments", [Moments(1e9, 1e18, 0.0, (0.0, 0.0)), Moments(0.0, 0.0, 1e16, (1e8, 0.0))])
@@ -287,7 +294,8 @@ def test_samples_behind_what_blurs_over_many_frames_count_evenly(moments):
     layer[:, :6] = 0
     lens, time = np.zeros((9, 12, 2), np.float32), np.zeros((9, 12), np.float32)
     path = np.full(lens.shape, moments.motion, np.float32)
-    found = passing_samples([(members_of(layer), lens, lens, time)], [path], 0, moments, 1.0)
+    ones = np.ones(layer.shape, np.float32)
+    found = passing_samples([Pass(members_of(layer), lens, lens, time, ones, ones)], [path], 0, moments, 1.0)
     assert np.abs(found - 0.5).max() < 0.02
 
 
@@ -302,7 +310,8 @@ def test_scattering_keeps_the_number_of_samples():
     coc, motion = 3.0, np.array([2.0, -1.0])
     offset = place - np.stack(np.indices(shape)[::-1], axis=-1) + coc * lens + motion * time[..., None]
     passing = np.zeros(shape, np.float32)
-    sample = offset.astype(np.float32), lens, time
+    ones = np.ones(shape, np.float32)
+    sample = offset.astype(np.float32), lens, time, ones, ones
     straight = np.zeros((0, 0, 4), np.float32)
     _visibility_kernels.scatter_passing(tuple(members), 0, sample, (coc, *motion), straight, 0, 0, passing)
     behind = np.where(members.layer == 0, members.farther, 1.0)
