@@ -25,6 +25,9 @@ class Weighted(NamedTuple):
     label: npt.NDArray[np.int32]
 
 
+Slopes = tuple[DoubleArray, DoubleArray, DoubleArray, DoubleArray]
+
+
 class Border(NamedTuple):
     """How a frame goes on beyond its border.
 
@@ -39,7 +42,7 @@ class Border(NamedTuple):
     """
 
     limit: Image
-    slopes: tuple[DoubleArray, DoubleArray, DoubleArray, DoubleArray]
+    slopes: Slopes
 
 
 @kernel

@@ -10,7 +10,7 @@ from spreadlets.parallel import for_bands
 from spreadlets.remembered import Remembered
 from spreadlets.runtime.buffers import buffer
 from spreadlets.runtime.plan import _border_kernels
-from spreadlets.runtime.plan._border_kernels import Border, Weighted
+from spreadlets.runtime.plan._border_kernels import Border, Slopes, Weighted
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 STRIP_PX = 16
@@ -84,19 +84,28 @@ def extended_pass(
 
 
 @Remembered
-def border_of(radiance: Image) -> Border:
-    """Return how colours (H, W, 4) go on beyond their border.
+def border_limit(radiance: Image) -> Image:
+    """Return how bright what goes on beyond the border of colours (H, W, 4) may be, see `Border`.
 
     A plain repetition would turn a lamp at the border into a row of lamps, and its bokeh would grow brighter towards
-    the border. And it would bend every edge that reaches the border aslant.
+    the border.
     """
     shape = tuple(-(-side // _border_kernels.BLOCK) for side in radiance.shape[:2])
     light, limit = np.empty((*shape, 2)), np.empty(shape, np.float32)
     for_bands(_border_kernels.sum_light, len(light), radiance, light)
     for_bands(_border_kernels.limit_light, len(light), light, limit)
+    return limit
+
+
+@Remembered
+def edge_slopes(radiance: Image) -> Slopes:
+    """Return in which direction edges of colours (H, W, 4) reach their border, see `Border`.
+
+    Straight outwards, every edge that reaches the border aslant would be bent there.
+    """
     from_sides = radiance, radiance[::-1], radiance.swapaxes(0, 1), radiance[:, ::-1].swapaxes(0, 1)
     above, below, left, right = (_slopes(each[: STRIP_PX + 1, :, :3]) for each in from_sides)
-    return Border(limit, (above, below, left, right))
+    return above, below, left, right
 
 
 def _slopes(strip: Image) -> DoubleArray:

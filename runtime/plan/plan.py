@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spreadlets.arrays import Image
 from spreadlets.parallel import for_bands
 from spreadlets.psf.database import Database
 from spreadlets.psf.exact import ExactPsf
@@ -26,9 +27,9 @@ from spreadlets.runtime.label.pixels import frame_surfaces, surface_pixels
 from spreadlets.runtime.label.surfaces import split_surfaces
 from spreadlets.runtime.options import DEFAULT_TOLERANCE, FRAME_SOFTNESS, SAMPLE_TOLERANCE, Options
 from spreadlets.runtime.plan import _layer_kernels, _plan_kernels
-from spreadlets.runtime.plan._border_kernels import Border
+from spreadlets.runtime.plan._border_kernels import Border, Slopes
 from spreadlets.runtime.plan._plan_kernels import FIRST_STREAK, GridTables, PixelPlaces, PoseLabels, Sizes
-from spreadlets.runtime.plan.border import NO_BORDER, border_of, extended_pass
+from spreadlets.runtime.plan.border import NO_BORDER, border_limit, edge_slopes, extended_pass
 from spreadlets.runtime.plan.divide import divide_frames
 from spreadlets.runtime.plan.highlights import Highlights, find_highlights
 from spreadlets.runtime.plan.layering import Layering, Membership
@@ -289,7 +290,7 @@ def plan_pixels(
             members=members,
             n_layers=n_layers,
             tolerance=tolerance,
-            border=border,
+            slopes=[edge_slopes(_all_colours(each)) if border else None for each in pixel_sets],
             stochastic=stochastic,
             parts_colours=database.grid.model.parts_colours,
         ),
@@ -357,7 +358,7 @@ def _lay_out(
     members: list[Membership],
     n_layers: int,
     tolerance: float,
-    border: bool,
+    slopes: list[Slopes | None],
     stochastic: bool,
     parts_colours: bool,
 ) -> Drawing:
@@ -366,8 +367,11 @@ def _lay_out(
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
-    colours = [each.radiance if each.frame is None else each.frame for each in pixel_sets]
-    borders = [border_of(each) if border else NO_BORDER for each in colours]
+    colours = map(_all_colours, pixel_sets)
+    borders = [
+        NO_BORDER if each is None else Border(border_limit(colour), each)
+        for colour, each in zip(colours, slopes, strict=True)
+    ]
     parts = _all_parts(highlights.dimmed(pixel_sets), members, borders, n_layers, table.n_variants)
     shape = pixel_sets[0].labels.view.frame_shape
     splats = list(_splat_passes(parts, shape, table, n_layers, wide))
@@ -411,7 +415,12 @@ def _shared_keys(
 
 def _bright(pixels: Pixels) -> float:
     """Return the radiance above which a pixel is bright: beyond white, and far above the mean of the frame."""
-    return max(WHITE, BRIGHT * _mean_radiance(pixels.radiance if pixels.frame is None else pixels.frame))
+    return max(WHITE, BRIGHT * _mean_radiance(_all_colours(pixels)))
+
+
+def _all_colours(pixels: Pixels) -> Image:
+    """Return the colours of the frame that pixels are of."""
+    return pixels.radiance if pixels.frame is None else pixels.frame
 
 
 # Sets often share their colours.

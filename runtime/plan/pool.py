@@ -40,6 +40,9 @@ NO_WAY = Way(np.zeros((0, 0, 2), np.float32), np.zeros((0, 0, 2), np.float32), (
 class PlacedPixels(NamedTuple):
     """Pixels, or one sample of each, in one of their layers, and where their splats lie.
 
+    Beyond the border they are repeated straight outwards: along edges, see `runtime.plan.border`, nothing is gained for
+    what moves.
+
     Attributes
     ----------
     pixels : Stepped

@@ -253,7 +253,8 @@ def test_a_centred_shutter_needs_no_sub_pixel_placement(small_combined):
     nearly, needed = synthesize(frame, replace(CAMERA, shutter=(-0.2500001, 0.25)), small_combined, tolerance=0.0)
     assert "sub-pixel placement" in report["plan"]["left_out"]
     assert "sub-pixel placement" not in needed["plan"]["left_out"]
-    assert np.allclose(centred, nearly, atol=1e-4)
+    # As far from the border as light comes in from outside: what moves goes on straight there.
+    assert np.allclose(centred[16:-16, 16:-16], nearly[16:-16, 16:-16], atol=1e-4)
 
 
 def test_no_pixel_beyond_the_range_needs_no_scaled_psf(small_combined):

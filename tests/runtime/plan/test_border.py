@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from spreadlets.arrays import NOTHING
-from spreadlets.runtime.plan.border import NO_BORDER, border_of, extended_pass
+from spreadlets.runtime.plan._border_kernels import Border
+from spreadlets.runtime.plan.border import NO_BORDER, border_limit, edge_slopes, extended_pass
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 
 def extended(radiance, label, reach, border=None):
     frame = SplatPass((0, 0), radiance, label)
-    return extended_pass(frame, NOTHING, np.array(reach), border or border_of(radiance))
+    return extended_pass(
+        frame, NOTHING, np.array(reach), border or Border(border_limit(radiance), edge_slopes(radiance))
+    )
 
 
 def test_the_border_is_continued_as_far_as_psfs_reach_back_in_whole_blocks():
