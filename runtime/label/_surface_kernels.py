@@ -35,8 +35,8 @@ LOG_LAMP_RATIO = math.log(2.0)
 """Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else:
 with 4 in place of 2, thin bars take the sky's light for their own."""
 OWN_WEIGHT = 0.1
-"""How much a mixed pixel itself counts among those that tell the colours of its surfaces: it shows the others, too, and
-would explain itself where little lies around it."""
+"""How much a pixel at which surfaces meet counts itself among those that tell their colours: it would explain itself
+where little lies around it."""
 GUIDE_TRUST = 0.05
 """Deviation of a share that colours have told."""
 STRAIGHT = 0.9
@@ -62,7 +62,6 @@ COLOUR_WEIGHT = 1.0 / (
     1.0 + 0.25 * np.add.outer(*2 * [np.arange(-COLOUR_REACH, COLOUR_REACH + 1, dtype=np.float64) ** 2])
 )
 """The same for the colours of surfaces."""
-COLOUR_WEIGHT[COLOUR_REACH, COLOUR_REACH] *= OWN_WEIGHT
 
 
 @helper
@@ -340,6 +339,8 @@ def _add_colours(radiance, weights, row, col, which, count, counts, sums):
             s = which[i, j]
             if s >= 0:
                 weight = COLOUR_WEIGHT[i, j] * power[top + i, left + j]
+                if i == COLOUR_REACH and j == COLOUR_REACH and purity[row, col] < 1.0:
+                    weight *= OWN_WEIGHT
                 counts[i, j] = weight
                 sums[s, 14] += weight
                 sums[s, 15] += weight * log_light[top + i, left + j]

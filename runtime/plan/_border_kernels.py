@@ -37,7 +37,7 @@ class Border(NamedTuple):
         How bright what is repeated there may be, in blocks, see `limit_light`. What it says of blocks
         that are not on the border means nothing. Empty if nothing lies there.
     slopes : tuple of four ndarrays of shapes (W,), (W,), (H,) and (H,), float64
-        For each pixel of the upper border, the lower, the left and the right one, the direction in which edges reach
+        For each pixel of the upper border, the lower, the left and the right one, the direction in which outlines reach
         it: px along it for each px outwards.
     """
 

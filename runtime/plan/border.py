@@ -14,14 +14,12 @@ from spreadlets.runtime.plan._border_kernels import Border, Slopes, Weighted
 from spreadlets.runtime.splat.passes import STRIDES, SplatPass
 
 STRIP_PX = 16
-"""Depth of the strip along the border that tells in which direction edges reach it."""
+"""Depth of the strip along the border that tells in which direction outlines reach it."""
 AROUND_PX, NEAR_PX = 64, 10.0
 """How far to both sides along the border it is looked at; and how near that counts for the most: where nothing lies so
-near, an edge farther off tells the direction."""
+near, an outline farther off tells the direction."""
 STEEPEST = 2.0
 """Most that an edge goes on along the border, px for each px outwards."""
-NEGLIGIBLE = 1e-9
-
 
 NO_BORDER = Border(NOTHING, 4 * (np.zeros(0),))
 """Of a frame beyond which there is nothing."""
@@ -36,8 +34,8 @@ def extended_pass(
 ) -> SplatPass:
     """Return a frame with its pixels weighted, and with what lies beyond its border.
 
-    There, pixels on the border are repeated in the direction in which edges reach it, as far as their PSFs reach back
-    into the frame; lamps are dimmed.
+    There, pixels on the border are repeated in the direction in which outlines reach it, as far as their PSFs reach
+    back into the frame; lamps are dimmed.
 
     Parameters
     ----------
@@ -67,7 +65,7 @@ def extended_pass(
         top, left = (side + (at - side) % STRIDES[-1] for side, at in zip((top, left), corner, strict=True))
     elif not len(share):
         return frame
-    # Repeat pixels outwards, along the edges that reach the border.
+    # Repeat pixels outwards, along the outlines that reach the border.
     shape = top + height + bottom, left + width + right
     extended = SplatPass((-top, -left), buffer((*shape, 4)), buffer(shape, np.int32))
     for_bands(
@@ -98,27 +96,27 @@ def border_limit(radiance: Image) -> Image:
 
 
 @Remembered
-def edge_slopes(radiance: Image) -> Slopes:
-    """Return in which direction edges of colours (H, W, 4) reach their border, see `Border`.
+def edge_slopes(coc: Image) -> Slopes:
+    """Return in which direction outlines reach the border of a frame, by its CoC radii (H, W); see `Border`.
 
-    Straight outwards, every edge that reaches the border aslant would be bent there.
+    Straight outwards, every outline that reaches the border aslant would be bent there. Colours do not count: so what
+    lies beyond the border stays linear in them.
     """
-    from_sides = radiance, radiance[::-1], radiance.swapaxes(0, 1), radiance[:, ::-1].swapaxes(0, 1)
-    above, below, left, right = (_slopes(each[: STRIP_PX + 1, :, :3]) for each in from_sides)
+    above, below, left, right = (_slopes(each[: STRIP_PX + 1]) for each in (coc, coc[::-1], coc.T, coc.T[::-1]))
     return above, below, left, right
 
 
 def _slopes(strip: Image) -> DoubleArray:
-    """Return the slopes of edges along the colours of a strip, of which the first row is the border; 0 without edges.
+    """Return the slopes of outlines along the depths of a strip, of which the first row is the border; 0 without any.
 
-    Along an edge, colours change the least: outwards they change by as much as they do along the border, times the
+    Along an outline, depths change the least: outwards they change by as much as they do along the border, times the
     slope, the other way round. It is found by least squares.
     """
-    if min(strip.shape[:2]) < 3:
+    if min(strip.shape) < 3:
         return np.zeros(strip.shape[1])
-    lightness = np.sqrt(np.maximum(strip.max(axis=2), 0.0, dtype=np.float64))
     # Take gradients (Sobel).
-    down, across = lightness[2:] - lightness[:-2], lightness[:, 2:] - lightness[:, :-2]
+    depth = strip.astype(np.float64)
+    down, across = depth[2:] - depth[:-2], depth[:, 2:] - depth[:, :-2]
     inwards = down[:, :-2] + 2.0 * down[:, 1:-1] + down[:, 2:]
     along = across[:-2] + 2.0 * across[1:-1] + across[2:]
     # Sum up over the depth of the strip, and what lies around along it.
@@ -126,4 +124,5 @@ def _slopes(strip: Image) -> DoubleArray:
     squares, products = (
         np.convolve((along * each).sum(axis=0), counts)[AROUND_PX - 1 :][: strip.shape[1]] for each in (along, inwards)
     )
-    return np.clip(products / (squares + NEGLIGIBLE), -STEEPEST, STEEPEST)
+    squares[squares == 0.0] = 1.0
+    return np.clip(products / squares, -STEEPEST, STEEPEST)

@@ -290,7 +290,7 @@ def plan_pixels(
             members=members,
             n_layers=n_layers,
             tolerance=tolerance,
-            slopes=[edge_slopes(_all_colours(each)) if border else None for each in pixel_sets],
+            slopes=edge_slopes(pixel_sets[0].labels.coc) if border else None,
             stochastic=stochastic,
             parts_colours=database.grid.model.parts_colours,
         ),
@@ -358,7 +358,7 @@ def _lay_out(
     members: list[Membership],
     n_layers: int,
     tolerance: float,
-    slopes: list[Slopes | None],
+    slopes: Slopes | None,
     stochastic: bool,
     parts_colours: bool,
 ) -> Drawing:
@@ -367,11 +367,7 @@ def _lay_out(
     wide = table.reaches > (WIDE_REACH if stochastic else math.inf)
     wide[: chosen.n_streaks] |= chosen.is_streak  # the rest of their shift is in them
     # Continue the frame beyond its border, and place or pool its pixels.
-    colours = map(_all_colours, pixel_sets)
-    borders = [
-        NO_BORDER if each is None else Border(border_limit(colour), each)
-        for colour, each in zip(colours, slopes, strict=True)
-    ]
+    borders = [NO_BORDER if slopes is None else Border(border_limit(_all_colours(each)), slopes) for each in pixel_sets]
     parts = _all_parts(highlights.dimmed(pixel_sets), members, borders, n_layers, table.n_variants)
     shape = pixel_sets[0].labels.view.frame_shape
     splats = list(_splat_passes(parts, shape, table, n_layers, wide))
