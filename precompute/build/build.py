@@ -24,7 +24,7 @@ from spreadlets.precompute.build.progress import BuildProgress, Progress
 from spreadlets.precompute.build.work import CellTask, UnitResult, WorkUnit, build_unit, plan_units
 from spreadlets.precompute.models.grids import ALGORITHM_VERSION, model_grid
 from spreadlets.precompute.sparsify.sparsify import DEFAULT_SPARSIFIER, check_sparsifier
-from spreadlets.psf.database_file import CellRecord, absent_record, write_database
+from spreadlets.psf.database_file import SIGNATURE, CellRecord, absent_record, write_database
 from spreadlets.psf.model import PsfGrid
 from spreadlets.psf.spreadlet import Spreadlet
 from spreadlets.version import __version__
@@ -97,7 +97,7 @@ def build_database(
     Raises
     ------
     InvalidParameterError
-        If an argument is out of its range, or the file cannot be written.
+        If an argument is out of its range, the file cannot be written, or it is there already and is no HDF5.
     BuildStoppedError
         If the build cannot go on: the disk is full, a worker or the cluster is lost, or another process builds the
         same file. Calling again goes on from the cells that were finished.
@@ -106,6 +106,7 @@ def build_database(
     """
     begin = time.perf_counter()
     target = Path(path)
+    _check_target(target)
     _check_arguments(samples, density, rays, jobs, seed)
     if sparsifier is not None:
         check_sparsifier(sparsifier)
@@ -156,6 +157,19 @@ def _finder(tasks: list[CellTask], parts: Parts, kept: Kept) -> FindSpreadlet:
         return spreadlet if spreadlet.n_points else None
 
     return find
+
+
+def _check_target(target: Path) -> None:
+    """Refuse to replace what is no database, such as the frame whose name was typed in its place."""
+    if not target.is_file():
+        return
+    try:
+        with target.open("rb") as file:
+            begin = file.read(len(SIGNATURE))
+    except OSError as error:
+        raise InvalidParameterError(f"{target} cannot be replaced: {error.strerror}") from error
+    if begin not in (b"", SIGNATURE):
+        raise InvalidParameterError(f"{target} is there already, and no database (HDF5): it is not replaced")
 
 
 def _check_arguments(samples: int | None, density: float | None, rays: int | None, jobs: int | None, seed: int) -> None:

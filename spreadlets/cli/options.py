@@ -139,6 +139,8 @@ def take_camera(options: dict[str, Any]) -> dict[str, Any]:
     """Take the single values of a camera out of a command's options; what is not given is not."""
     taken = {name: options.pop(name) for name in CAMERA_NAMES if name in options}
     taken["shutter_curve"] = options.pop(CAMERA_CURVE, None)
+    if taken.get("focus_distance_m") is not None and options.get("focus_at") is not None:
+        raise click.UsageError("--focus and --focus-at exclude each other: give the distance, or the pixel")
     return {name: value for name, value in taken.items() if value is not None}
 
 

@@ -324,7 +324,9 @@ def _read_object(path: Path) -> Mapping[str, object]:
         raise InvalidCameraError(f"is larger than {MAX_CAMERA_BYTES} bytes: this is not a camera file")
     # Parse it.
     try:
-        content = json.loads(text)
+        content = json.loads(text, object_pairs_hook=_once)
+    except InvalidCameraError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InvalidCameraError(f"is not valid JSON: {error}") from error
     if not isinstance(content, dict):
@@ -333,6 +335,15 @@ def _read_object(path: Path) -> Mapping[str, object]:
     unknown = sorted(content.keys() - {*NUMBER_KEYS, SHUTTER_KEY, *OPTIONAL_KEYS} - DESCRIPTIVE_KEYS)
     if unknown:
         warnings.warn(f"{path}: {_unknown_keys(unknown)}", AmbiguousInputWarning, stacklevel=4)
+    return content
+
+
+def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return an object of JSON none of whose names is there twice."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise InvalidCameraError(f"has {next(name for name in names if names.count(name) > 1)} twice in a JSON object")
     return content
 
 

@@ -37,6 +37,8 @@ PROFILED = {"GRAY": ("L", ("L", "LA")), "CMYK": ("CMYK", ("CMYK",))}
 
 OPAQUE = 255
 """Alpha of 8 bits that lets nothing through."""
+MOST_TINT = 0.1
+"""Difference between the colours of a pixel, of 1, up to which a plane is grey: JPEG changes grey by less than .02."""
 
 
 class Picture(NamedTuple):
@@ -216,7 +218,10 @@ def _grey(path: PathLike, image: Any, *, in_metres: bool) -> FloatArray:
     if values.ndim == 3:
         # Alpha alone tells nothing of the depth.
         n_colours = values.shape[2] - (1 if image.mode in ("LA", "RGBA", "PA") else 0)
-        return np.asarray(_unit(values)[..., :n_colours].mean(axis=2), np.float32)
+        colours = _unit(values)[..., :n_colours]
+        if np.ptp(colours, axis=2).max(initial=0.0) > MOST_TINT:
+            warnings.warn(f"{path}: is coloured, and read as grey; false colours do not tell the depth", stacklevel=2)
+        return np.asarray(colours.mean(axis=2), np.float32)
     return _unit(values)
 
 

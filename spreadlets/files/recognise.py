@@ -168,6 +168,9 @@ class ReadOptions:
             background_places(self.background_depth, np.zeros(0, np.float32))
         if self.motion_channels is not None:
             object.__setattr__(self, "motion_channels", tuple(self.motion_channels))
+        if self.motion_channels == () and (self.motion_convention is not None or self.motion_file is not None):
+            other = "motion_convention" if self.motion_file is None else "motion_file"
+            raise InvalidParameterError(f"{option('motion_channels')} is {_none()}: {option(other)} is then of nothing")
         _ = self.scale
 
     @property

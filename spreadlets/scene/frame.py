@@ -604,7 +604,7 @@ def _turned(depth: FloatArray, visible: BoolArray) -> str:
     """Return a remark if the depth of everything visible is negative."""
     seen = depth[visible]
     if seen.size and seen.max() < 0:
-        return f"; all depths are negative: the sign is turned, say {option('depth_scale')} -1"
+        return f"; all depths are negative: the sign is turned, say {option('depth_scale')} -1, or no longer if you did"
     return ""
 
 

@@ -108,6 +108,14 @@ def test_a_folder_that_cannot_be_written_is_one_error(tmp_path, monkeypatch):
         build(tmp_path / "a.h5")
 
 
+def test_a_build_replaces_no_file_but_a_database(tmp_path):
+    frame = tmp_path / "frame.exr"
+    frame.write_bytes(b"v/1\x01" + bytes(100))
+    with pytest.raises(InvalidParameterError, match=r"frame\.exr is there already, and no database"):
+        build(frame)
+    assert frame.stat().st_size == 104 and [path.name for path in tmp_path.iterdir()] == ["frame.exr"]
+
+
 def test_a_second_build_of_the_same_file_says_who_is_at_work(reference, tmp_path):
     refused = []
 

@@ -123,6 +123,7 @@ def test_an_aperture_of_blades_is_built_once(synth, folder):
         (("--focus-at", "64,0"), "lies outside the frame's 64 x 48 px"),
         (("--f-number", "0"), "error: --f-number is 0; it must be finite and > 0"),
         (("--focus", "-1"), "error: --focus is -1, which puts the focus inside the focal length"),
+        (("--focus", "2", "--focus-at", "1,1"), "--focus and --focus-at exclude each other"),
         (("--in-focus", "3,2"), "--in-focus is (3.0, 2.0): allowed are depths 0 < NEAR <= FAR"),
         (("--region", "0,0,65,10"), "--region is 0,0,65,10: it must lie within"),
         (("--region", "0,0,1.5,10"), "'0,0,1.5,10' is not X,Y,W,H"),

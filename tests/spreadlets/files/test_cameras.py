@@ -65,6 +65,13 @@ def test_read_camera_refuses_what_is_no_json_object(tmp_path, text):
         read_camera(path)
 
 
+def test_a_key_is_not_there_twice(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(VALUES)[:-1] + ', "f_number": 9}')
+    with pytest.raises(InvalidCameraError, match=r"camera\.json: has f_number twice"):
+        read_camera(path)
+
+
 def test_read_camera_refuses_huge_files_missing_files_and_folders(tmp_path):
     huge = tmp_path / "huge.json"
     huge.write_bytes(b" " * (MAX_CAMERA_BYTES + 1))

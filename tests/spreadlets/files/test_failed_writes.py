@@ -12,6 +12,7 @@ from spreadlets.files import images
 from spreadlets.files.exr_samples import write_samples
 from spreadlets.files.tlfr import write_tlfr
 from spreadlets.precompute.build.build import build_database
+from spreadlets.psf.database_file import SIGNATURE
 from spreadlets.reports import database_plot as plot
 
 SHAPE = 4, 6
@@ -52,7 +53,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("before", [None, b"old"], ids=["new", "existing"])
+@pytest.mark.parametrize("before", [None, SIGNATURE], ids=["new", "existing"])
 def test_a_write_that_fails_at_its_end_leaves_nothing_behind(tmp_path, monkeypatch, name, before):
     if before is not None:
         (tmp_path / name).write_bytes(before)

@@ -157,6 +157,17 @@ def test_planes_of_all_formats_hold_the_same_values(tmp_path):
         np.testing.assert_allclose(read_plane(tmp_path / name), PLANE, atol=tolerance, err_msg=name)
 
 
+def test_a_plane_in_false_colours_is_doubted_and_one_in_grey_is_not(tmp_path):
+    grey = np.repeat(np.rint(255 * PLANE).astype(np.uint8)[..., None], 3, axis=2)
+    for name in ("grey.png", "grey.jpg"):
+        Image.fromarray(grey).save(tmp_path / name)
+        np.testing.assert_allclose(read_plane(tmp_path / name), PLANE, atol=0.05)
+    grey[..., 2] = 255 - grey[..., 2]
+    Image.fromarray(grey).save(tmp_path / "false.png")
+    with pytest.warns(UserWarning, match=r"false\.png: is coloured, and read as grey"):
+        read_plane(tmp_path / "false.png")
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

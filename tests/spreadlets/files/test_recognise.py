@@ -378,3 +378,9 @@ def test_the_keywords_are_the_fields():
     from spreadlets.files.recognise import ReadKeywords
 
     assert set(ReadKeywords.__annotations__) == {field.name for field in fields(sp.ReadOptions)}
+
+
+@pytest.mark.parametrize("other", ["motion_convention", "motion_file"])
+def test_motion_that_is_left_out_has_no_meaning_and_no_file(other):
+    with pytest.raises(InvalidParameterError, match=rf"motion_channels is \(\): {other} is then of nothing"):
+        sp.ReadOptions(motion_channels=(), **{other: "blender"})
