@@ -482,7 +482,10 @@ def _add_drawing(
         last = closed and number == used[-1]
         if last and drawing.parts_colours:
             _, _, white = _splat_layer(_in_white(sources), number, drawing, image.shape, solver, clock)
-            even_colours(padded, white)
+            lights = cleared(padded.shape)
+            for levels in sources[len(sources) - drawing.n_lights :]:
+                splat_direct(lights, canvas, levels[0], GROUPS * number + DIRECT, drawing.table)
+            even_colours(padded, white, lights)
         # Normalise the layer by its visibility, and put it behind the image.
         with clock.step("composite"):
             seen = None if visibility is None or last else visibility.seen(number)

@@ -112,7 +112,7 @@ def add_layer(
     for_bands(_fill_kernels.add_filled, len(image), image, beyond, *sums, levels[0], odds[0], bound, told)
 
 
-def even_colours(padded: Image, white: Image) -> None:
+def even_colours(padded: Image, white: Image, lights: Image) -> None:
     """Give the colours of a layer's sums the weight that its alpha has, in place.
 
     Where one cell of a database ends and the next begins, glass shifts each colour by a little more or less: a line is
@@ -124,9 +124,11 @@ def even_colours(padded: Image, white: Image) -> None:
         Sums of the layer's splats.
     white : ndarray of shape (rows, cols, 4), float32
         What they would be if all of the layer were white.
+    lights : ndarray of shape (rows, cols, 4), float32
+        The part of them that comes from highlights, which have PSFs of their own place, and stays.
     """
     weight = np.maximum(white, np.float32(0.0)) + NO_WEIGHT
-    padded[..., :3] *= weight[..., 3:] / weight[..., :3]
+    padded[..., :3] += (padded - lights)[..., :3] * (weight[..., 3:] / weight[..., :3] - np.float32(1.0))
 
 
 def _lamps(

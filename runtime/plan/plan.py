@@ -82,6 +82,8 @@ class Drawing:
         Bound on the change of the displayed image by drawing blocks of pixels as one.
     parts_colours : bool
         That of the model: each colour is then divided by a weight of its own.
+    n_lights : int
+        How many of the sources, at the end, are of highlights alone, whose PSFs are exact.
     """
 
     sources: list[list[SplatPass]]
@@ -91,6 +93,7 @@ class Drawing:
     corner: tuple[int, int]
     error_bound: float
     parts_colours: bool
+    n_lights: int
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pixels drawn sparse and dense, of those merged, and of the points that they draw.
@@ -374,14 +377,14 @@ def _lay_out(
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
     placed = list(highlights.placed(pixel_sets, members, chosen.n_variants, wide))
-    own = pool(placed, shape, table.reaches, n_layers)
+    own = list(pool(placed, shape, table.reaches, n_layers))
     variation = np.tile(chosen.variation, n_layers)
     coarse = float(coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group]).max(initial=0.0))
     merged = [merge_blocks(each, variation, tolerance - coarse) for each in splats]
     sources = [levels for levels, _ in merged] + [[each] for each in (*alone, *own)]
     error_bound = coarse + max((bound for _, bound in merged), default=0.0)
     corner = pixel_sets[0].labels.view.corner
-    return Drawing(sources, table, chosen.n_variants, n_layers, corner, error_bound, parts_colours)
+    return Drawing(sources, table, chosen.n_variants, n_layers, corner, error_bound, parts_colours, len(own))
 
 
 def _variant_keys(pixels: Pixels, given: _Given) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:

@@ -16,6 +16,7 @@ from spreadlets.precompute.models import registry
 from spreadlets.precompute.models.grids import model_settings
 from spreadlets.psf.database import open_database
 from spreadlets.psf.model import PsfGrid, get_model
+from spreadlets.runtime import render
 from spreadlets.runtime.plan.plan import needed_spreadlets
 from spreadlets.scene.camera import ThinLens
 from spreadlets.scene.frame import Frame
@@ -133,6 +134,13 @@ def test_a_wall_of_one_colour_stays_that_behind_glass(lens, coc):
     radiance = np.broadcast_to(np.float32([0.9, 0.6, 0.3]), (SIZE, SIZE, 3))
     wall = Frame(radiance, np.full((SIZE, SIZE), depth_of(coc), np.float32))
     np.testing.assert_allclose(quiet(wall, lens), np.broadcast_to([0.9, 0.6, 0.3, 1.0], (SIZE, SIZE, 4)), atol=1e-3)
+
+
+def test_a_lamp_behind_glass_has_a_psf_of_its_own_place_which_is_not_evened(lens, monkeypatch):
+    frame = spot_frame(20, 28, 5.0)
+    image = quiet(frame, lens)
+    monkeypatch.setattr(render, "even_colours", lambda *given: None)
+    np.testing.assert_allclose(image, quiet(frame, lens), atol=1e-5 * image.max())
 
 
 def test_vignetting_needs_a_lens_of_glass(triangles):
