@@ -32,6 +32,10 @@ def run(group: click.Group, arguments: Sequence[str]) -> int:
         click.echo("error: " + " ".join(str(error).split()), err=True)
         return EXIT_BAD_INPUT
     except Exception as error:
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            # A kernel that is interrupted as it begins makes a SystemError of it.
+            click.echo("interrupted", err=True)
+            return EXIT_INTERRUPTED
         click.echo(f"failed: {type(error).__name__}: {' '.join(str(error).split())}", err=True)
         return EXIT_FAILURE
     return 0

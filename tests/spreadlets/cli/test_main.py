@@ -257,6 +257,18 @@ def test_an_interrupted_sequence_leaves_whole_frames_only_and_goes_on(run, shot,
     assert exr.read_image(shot / "out.02.exr").shape == (24, 32, 4)
 
 
+def test_a_kernel_that_is_interrupted_is_an_interrupted_run(run, scene, small_combined_path, monkeypatch):
+    def interrupted(*given, **options):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("a kernel returned a result with an exception set") from error
+
+    monkeypatch.setattr("spreadlets.runtime.render.synthesize_all", interrupted)
+    status, _, err = run(*synth_arguments(scene, small_combined_path))
+    assert (status, err.strip()) == (130, "interrupted") and not (scene / "out.exr").exists()
+
+
 def test_a_sequence_goes_on_after_a_bad_frame_and_names_it(run, shot, small_combined_path):
     (shot / "shot.0002.exr").write_bytes(b"no image")
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
