@@ -107,6 +107,9 @@ def _result_of(function: Callable[[Task], Result], task: Task) -> Result | Excep
     try:
         return function(task)
     except Exception as error:
+        # A kernel that is interrupted as it begins makes a SystemError of it: that is no fault of the task.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
         return error
 
 

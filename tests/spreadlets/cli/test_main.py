@@ -269,6 +269,18 @@ def test_a_kernel_that_is_interrupted_is_an_interrupted_run(run, scene, small_co
     assert (status, err.strip()) == (130, "interrupted") and not (scene / "out.exr").exists()
 
 
+def test_an_interrupted_kernel_stops_a_sequence(run, shot, small_combined_path, monkeypatch):
+    calls = []
+
+    def interrupted(*given, **options):
+        calls.append(given)
+        raise SystemError("a kernel returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("spreadlets.runtime.render.synthesize_all", interrupted)
+    status, _, err = run(*sequence_arguments(shot, small_combined_path))
+    assert status == 130 and "interrupted" in err and len(calls) == 1
+
+
 def test_a_sequence_goes_on_after_a_bad_frame_and_names_it(run, shot, small_combined_path):
     (shot / "shot.0002.exr").write_bytes(b"no image")
     status, out, err = run(*sequence_arguments(shot, small_combined_path), "--json")
