@@ -34,6 +34,8 @@ LEAST_NOISE, COLOUR_NOISE = 0.01, 0.04
 LOG_LAMP_RATIO = math.log(2.0)
 """Logarithm of how many times as bright as usual a surface's pixel may be before it is taken to show something else:
 with 4 in place of 2, thin bars take the sky's light for their own."""
+LAMP_FALLOFF = 4.0
+"""One that is brighter than that by a quarter counts half."""
 OWN_WEIGHT = 0.1
 """How much a pixel at which surfaces meet counts itself among those that tell their colours: it would explain itself
 where little lies around it."""
@@ -355,7 +357,7 @@ def _add_colours(radiance, weights, row, col, which, count, counts, sums):
             total, weight = sums[s], counts[i, j]
             if log_light[top + i, left + j] > total[15]:
                 excess = _brightness(radiance[top + i, left + j]) / math.exp(total[15]) - 1.0
-                weight /= 1.0 + max(excess, 0.0) ** 2
+                weight /= 1.0 + (LAMP_FALLOFF * max(excess, 0.0)) ** 2
             total[0] += weight
             total[1] += COLOUR_WEIGHT[i, j]
             total[2] += weight * purity[top + i, left + j]

@@ -81,7 +81,13 @@ class Highlights(NamedTuple):
         return [_dimmed(pixels, at[chosen]) for pixels, at, chosen in found]
 
     def placed(
-        self, pixel_sets: Sequence[Pixels], members: Sequence[Membership], first_variant: int, wide: BoolArray
+        self,
+        pixel_sets: Sequence[Pixels],
+        members: Sequence[Membership],
+        first_variant: int,
+        wide: BoolArray,
+        *,
+        completed: bool,
     ) -> Iterator[PlacedPixels]:
         """Yield the colours of highlights but for lights, without alpha, as lists of pixels to be pooled.
 
@@ -94,6 +100,8 @@ class Highlights(NamedTuple):
             Of all variants, the PSFs of highlights are those from this one on.
         wide : ndarray of shape (n_variants,), bool
             Variants whose centres are moved to the next pixel, see `runtime.plan.pool.place_pixels`.
+        completed : bool
+            Whether lamps that the frame's border cuts are drawn beyond it, too.
         """
         given = zip(pixel_sets, members, self.places, self.number, self.lights, strict=True)
         for pixels, member, found, numbers, lights in given:
@@ -101,7 +109,11 @@ class Highlights(NamedTuple):
             at = np.unravel_index(chosen, member.layer.shape)
             places, shift, trail = pixels.labels.view.places, pixels.labels.shift, pixels.labels.trail
             at_frame = (np.stack(at, axis=1).astype(np.int32) if places is None else places.at[at])[None]
-            shift = np.zeros((1, len(chosen), 2), np.float32) if shift is None else shift[at][None]
+            if completed:
+                again, outwards = _completed(at_frame[0], pixels.labels.view.frame_shape)
+                at_frame, number = (at_frame[0][again] + outwards)[None], number[again]
+                at = tuple(each[again] for each in at)
+            shift = np.zeros((1, len(number), 2), np.float32) if shift is None else shift[at][None]
             radiance = pixels.radiance[at][None]
             radiance[..., 3] = 0.0
             # Draw the parts in the nearer and the farther layers.
@@ -112,6 +124,52 @@ class Highlights(NamedTuple):
                 if (label >= 0).any():
                     own = None if trail is None else trail.of_pixels(at)
                     yield place_pixels(radiance, weight, label, shift, at_frame, wide, NOTHING, own)
+
+
+def _completed(at: npt.NDArray[np.int32], shape: tuple[int, int]) -> tuple[IntArray, npt.NDArray[np.int32]]:
+    """Return which pixels of lamps are drawn, by their numbers (n,), and how far outwards, (n, 2), px.
+
+    All are drawn where they are, and those on the border again beyond it, as far as the disc reaches there that the
+    border would cut as it does the lamp.
+    """
+    again, outwards = [np.arange(len(at))], [np.zeros((len(at), 2), np.int32)]
+    lit = np.zeros(shape, np.bool_)
+    lit[at[:, 0], at[:, 1]] = True
+    for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1)):
+        # Find runs of pixels along this side of the border.
+        along = at[:, 1 - axis]
+        side = np.flatnonzero(at[:, axis] == (0 if sign < 0 else shape[axis] - 1))
+        side = side[np.argsort(along[side], kind="stable")]
+        inwards = np.moveaxis(lit, axis, 0)[::-sign]
+        for run in np.split(side, np.flatnonzero(np.diff(along[side]) > 1) + 1):
+            steps = _steps_beyond(along[run], inwards)
+            again.append(np.repeat(run, steps))
+            moved = np.zeros((steps.sum(), 2), np.int32)
+            moved[:, axis] = sign * (1 + np.arange(len(moved)) - np.repeat(np.cumsum(steps) - steps, steps))
+            outwards.append(moved)
+    return np.concatenate(again), np.concatenate(outwards)
+
+
+def _steps_beyond(along: npt.NDArray[np.int32], inwards: BoolArray) -> IntArray:
+    """Return how many pixels of a disc lie beyond the border, at the places of its chord along it.
+
+    Parameters
+    ----------
+    along : ndarray of shape (n,), int32
+        The places, ascending; some may come twice.
+    inwards : ndarray of shape (rows, cols), bool
+        Where lamps are, of which the first row is the border.
+    """
+    if not len(along):
+        return np.zeros(0, np.int64)
+    # Find the circle through both ends of the chord that is as deep as what is seen.
+    chord = along[-1] - along[0] + 1
+    depth = np.logical_and.accumulate(inwards[:, along], axis=0).sum(axis=0).max()
+    radius = (depth**2 + 0.25 * chord**2) / (2.0 * depth)
+    across = along - 0.5 * (along[0] + along[-1])
+    beyond = np.sqrt(np.maximum(radius**2 - across**2, 0.0)) + radius - depth
+    # Little of a disc is seen as a strip: then it may as well be one.
+    return np.asarray(np.rint(np.clip(beyond, 0.0, chord)), np.int64)
 
 
 def find_highlights(

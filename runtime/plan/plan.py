@@ -376,7 +376,8 @@ def _lay_out(
     splats = list(_splat_passes(parts, shape, table, n_layers, wide))
     # Spikes and highlights are drawn by themselves; of the rest, blocks of like pixels are merged.
     alone = [_spike_pass(each, chosen.spike_of, n_layers) for each in splats] if (chosen.spike_of >= 0).any() else []
-    placed = list(highlights.placed(pixel_sets, members, chosen.n_variants, wide))
+    completed = slopes is not None and not stochastic
+    placed = list(highlights.placed(pixel_sets, members, chosen.n_variants, wide, completed=completed))
     own = list(pool(placed, shape, table.reaches, n_layers))
     variation = np.tile(chosen.variation, n_layers)
     coarse = float(coarse_error(chosen.variation, np.append(STRIDES, 1)[table.group]).max(initial=0.0))
