@@ -179,10 +179,11 @@ def _blurs(layer: Sequence[npt.NDArray[np.int32]], number: int, seen: Sequence[S
     for there, taken in zip(layer, seen, strict=True):
         blur = taken.labels.coc, taken.labels.whole_path
         for_bands(_evening_kernels.sum_blurs, sums.shape[1], there, number, *blur, TILE, sums)
-    # What passed was seen as far from the layer's samples as these blur.
+    # What passed was seen as far from the layer's samples as these blur; what turns blurs there as those beside do.
     share, coc, *path = np.abs(sums)
     reach = np.max((coc + 0.5 * np.hypot(*path)) / np.maximum(share, 1.0))
-    around = np.stack([box_blurred(each, 1 + math.ceil(reach / TILE)) for each in sums])
+    beside, around = (np.stack([box_blurred(each, half) for each in sums]) for half in (1, 1 + math.ceil(reach / TILE)))
+    around = np.where(beside[:1] > LEAST, beside, around)
     return np.asarray(around / np.where(around[:1] > LEAST, around[:1], np.float32(np.inf)), np.float32)
 
 
