@@ -378,7 +378,8 @@ def _taken(samples: SampleBuffer, pixel_sets: Sequence[Pixels], camera: ThinLens
     """Return how samples were taken: by lens and shutter, even where their blur is taken out of the image."""
     if not (options.defocus and options.motion):
         pixel_sets = sample_pixels(samples, camera, defocus=True, motion=True)
-    time = (samples.time - np.float32(camera.shutter_centre)) / np.float32(camera.shutter_duration)
+    # While a shutter that opens and closes at once is open, nothing moves.
+    time = (samples.time - np.float32(camera.shutter_centre)) / np.float32(camera.shutter_duration or 1.0)
     return [
         Seen(
             samples.valid[:, :, number],

@@ -1,5 +1,7 @@
 """Elements that samples meet before nothing: they keep their size, and let through what they do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,13 @@ def covers(combined, *given, n_samples):
 def test_an_element_before_nothing_keeps_its_size(combined, coc, motion, n_samples):
     found, met, _ = covers(combined, 24.0, coc, motion, 1.0, n_samples=n_samples)
     assert found == pytest.approx(met, rel=0.006)
+
+
+def test_an_element_keeps_its_size_where_the_shutter_opens_and_closes_at_once(combined):
+    given = disc(24.0, 8.0, (0.0, 0.0), 1.0, 4, 0)
+    given.time[:] = 0.0
+    image = sp.reconstruct(given, replace(CAMERA, shutter=(0.0, 0.0)), combined)
+    assert image[..., 3].sum() == pytest.approx(given.radiance[..., 3].mean(axis=2).sum(), rel=0.006)
 
 
 @pytest.mark.parametrize("n_samples", [1, 4])
