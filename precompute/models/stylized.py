@@ -75,7 +75,11 @@ def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> di
 def _read_light(path: str) -> DoubleArray:
     """Read a PNG as linear light (h, w, 3), reduced to at most `MAX_SIDE`."""
     try:
-        with open(path, "rb") as file:
+        file = open(path, "rb")
+    except OSError as error:
+        raise InvalidFileError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        with file:
             _check_png(path, file)
             pixels = _pixels(file)
     except InvalidFileError:
