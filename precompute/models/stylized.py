@@ -74,6 +74,7 @@ def read_settings(*, image: str | None = None, colour_offset: float = 0.0) -> di
 
 def _read_light(path: str) -> DoubleArray:
     """Read a PNG as linear light (h, w, 3), reduced to at most `MAX_SIDE`."""
+    # Read its pixels.
     try:
         file = open(path, "rb")
     except OSError as error:
@@ -86,6 +87,7 @@ def _read_light(path: str) -> DoubleArray:
         raise
     except (OSError, ValueError, SyntaxError) as error:
         raise InvalidFileError(f"{path}: not a readable PNG file: {error}") from error
+    # Turn them into light, of at most so many pixels.
     light = _linear(pixels[..., :3]) * pixels[..., 3:]
     if not light.max() > 0.0:
         raise InvalidParameterError(f"{path}: the image holds no light: it is black or transparent everywhere")
